@@ -58,7 +58,7 @@ ABSORBED = ("common_gyro_scale", "common_accelerometer_scale", "common_accelerom
 def effects() -> tuple[str, ...]:
     """Effects that this motion carries and positions do not absorb."""
     context = _Log(Job("array", "reference", 0), np.random.default_rng(0)).motion.context
-    shown = {n for n, e in array_catalogue().items() if not e.find_missing(context)}
+    shown = {n for n, e in array_catalogue().items() if not e.missing(context)}
     return tuple(name for name in array_catalogue() if name in shown.difference(ABSORBED))
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import imucalib
 from generators.markdown import block, table
 from imucalib import errors
+from imucalib.api.calibrators import Bench, Reading, Usual
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.lab.request import LabRequest
@@ -28,6 +29,9 @@ def page() -> str:
     lines = [_HEAD, "## Functions", ""]
     for name in _FUNCTIONS:
         lines += _function(f"imucalib.{name}", getattr(imucalib, name), 3)
+    lines += ["## Keywords", ""]
+    for kind, known in ((Bench, Usual), (Usual, Reading), (Reading, dict)):
+        lines += _keywords(kind, getattr(known, "__annotations__", ()))
     lines += ["## Classes", ""]
     for name in _CLASSES:
         lines += _class(f"imucalib.{name}", getattr(imucalib, name))
@@ -84,6 +88,13 @@ def _class(name: str, kind: type) -> list[str]:
         elif isinstance(member, FunctionType):
             lines += _function(f"{kind.__name__}.{key}", member, 4)
     return lines
+
+
+def _keywords(kind: Any, known: Any) -> list[str]:
+    """Those of a kind of options that another kind does not have already."""
+    own = kind.__annotations__.items()
+    rows = [(f"`{n}`", f"`{a.__forward_arg__}`") for n, a in own if n not in known]
+    return [f"### {kind.__name__}", "", *_doc(kind), *table(("keyword", "type"), rows)]
 
 
 def _default(one: dataclasses.Field[Any]) -> str:

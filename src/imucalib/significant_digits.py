@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 
 def digits_for(sd: float) -> int:
@@ -54,6 +54,12 @@ def per_cent(share: float) -> str:
     if share > 0.99:
         return "> 99 %"
     return "< 1 %" if share < 0.01 else f"{100.0 * share:.0f} %"
+
+
+def list_likely(shares: Mapping[str, float], least: float = 0.1) -> str:
+    """Names with their probabilities, the likeliest first, down to the least."""
+    likely = sorted((p, name) for name, p in shares.items() if p >= least)
+    return ", ".join(f"{name} {per_cent(p)}" for p, name in reversed(likely))
 
 
 def two_digits(value: float) -> str:

@@ -173,7 +173,7 @@ def test_intervals_by_the_norm_alone_cover() -> None:
         known, data = bench(seed, 15, exact=True), tumble(seed, 15)
         theta = ordinary_theta(model, data, 500 + seed)
         reading = draw(model, theta, known, 700 + seed).reading
-        inside.append(_inside(fit_model(model, data.with_reading(reading)), theta))
+        inside.append(_inside(fit_model(model, data.set_reading(reading)), theta))
     low, _ = _bounds(0.95, BENCHES)
     assert np.all(np.sum(inside, axis=0) >= low), np.sum(inside, axis=0)
     assert 0.91 <= np.mean(inside) <= 0.99

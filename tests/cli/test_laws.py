@@ -1,4 +1,4 @@
-"""Laws of every command that calibrates, found by the shared decorator: one contract for all."""
+"""Laws of every command that is_calibrator, found by the shared decorator: one contract for all."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ruamel.yaml import YAML
 import imucalib
 from imucalib import cli
 from imucalib.calibration.outcome import Limit
-from imucalib.cli.frame.calibrating import calibrates
+from imucalib.cli.frame.calibrating import is_calibrator
 from imucalib.exports import exports
 from imucalib.readers import read
 from imucalib.recording.recording import Recording
@@ -36,7 +36,7 @@ CONTEXT = click.Context(GROUP)
 COMMANDS = {
     name: command
     for name in GROUP.list_commands(CONTEXT)
-    if (command := GROUP.get_command(CONTEXT, name)) is not None and calibrates(command)
+    if (command := GROUP.get_command(CONTEXT, name)) is not None and is_calibrator(command)
 }
 #: What every calibrating command must offer.
 SHARED = {

@@ -178,7 +178,7 @@ def test_an_entry_overwrites_no_file_beside_it(cohort: Path, tmp_path: Path) -> 
 
 
 def names(*inputs: object) -> list[str]:
-    return [p.name for p in recordings_of([str(i) for i in inputs]).recordings]
+    return [p.name for p in recordings_of([str(i) for i in inputs])[0]]
 
 
 ROWS = "time,x,y,z\n" + "".join(f"{k},{0.1 * k},0.2,9.8\n" for k in range(30))
@@ -215,9 +215,9 @@ def test_a_recording_is_no_manifest_and_a_folder_is_walked(study: Path) -> None:
     assert names(b, a, b, study / "paths.csv") == ["b.txt", "a.csv"]
     assert names(study / "sub" / "*.txt") == names(study / "**" / "b*") == ["b.txt"]
     # An empty file is a recording that failed; text without numbers is none.
-    found = recordings_of([str(study)])
-    assert [p.name for p in found.recordings] == ["a.csv", "lost.cwa", "b.txt"]
-    assert "README.txt" in found.said[0]
+    found, said = recordings_of([str(study)])
+    assert [p.name for p in found] == ["a.csv", "lost.cwa", "b.txt"]
+    assert "README.txt" in said[0]
 
 
 @pytest.mark.parametrize(

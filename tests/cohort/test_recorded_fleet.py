@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import read, to_yaml
 from imucalib.calibration.sums import KEY
+from imucalib.calibration.triads import triad_from
 from imucalib.calibrators.population import read as read_population
 from imucalib.cohort.entries import Entry, write_entry
 from imucalib.cohort.fleet.calibrated import load_calibrations
@@ -31,6 +33,7 @@ from worlds.command import run
 NINE = ("bias", "scale", "non_orthogonality")
 BASE = [(e, p) for e in NINE for p in named(e).parameters(Context(1))]
 POSTURES, NOISE = 150, 0.5
+_STAGES = {"positions": "array"}
 
 
 def report(
@@ -95,9 +98,7 @@ def cohort(
             name = f"d{k}_{r}.csv"
             moved = theta + within * np.r_[rng.standard_normal(3), np.zeros(6)]
             content = report(name, moved, np.r_[own, np.zeros(3)], 100 * k + r)
-            path = folder / f"{name}.json"
-            path.write_text(json.dumps(content))
-            paths.append(path)
+            paths.append(entry_of(folder / f"{name}.json", content))
             rows.append(f"{name},dev{k}")
     table = folder / "devices.csv"
     table.write_text("\n".join(rows) + "\n")
@@ -150,6 +151,14 @@ def test_the_next_recording_has_both_scatters_before_it(tmp_path: Path) -> None:
     assert found.following.reference == "norm"
 
 
+def entry_of(path: Path, content: dict) -> Path:
+    """As `imucal batch` leaves it, with the calibration beside it."""
+    name = content["provenance"]["input"]
+    entry = Entry(name, "", 0, 1.0, "", row={}, sums=content.get(KEY))
+    write_entry(entry, path, calibration_of(content))
+    return path
+
+
 def folder_of(path: Path, content: dict) -> Path:
     """As `imucal actigraph -o` leaves it."""
     path.mkdir()
@@ -160,21 +169,32 @@ def folder_of(path: Path, content: dict) -> Path:
 
 def calibration_of(content: dict) -> Calibration:
     stored = tuple(
-        StoredParameter(p["name"], p["effect"], "sensor", p["value"], p["sd"], p["unit"])
+        StoredParameter(
+            p["name"],
+            p["effect"],
+            _STAGES.get(p["effect"], "sensor"),
+            p["value"],
+            p["sd"],
+            p["unit"],
+        )
         for p in content["parameters"]
     )
-    covariance = np.array(content["covariance"]["estimated_noise"])
-    facts = {"provenance": content["provenance"]}
-    return Calibration("actigraph", stored, covariance, "m/s2", 1.0, 9.8, "ok", facts=facts)
+    covariance = np.diag([p["sd"] ** 2 for p in content["parameters"]])
+    if len(covariance) == len(BASE):
+        covariance = np.array(content["covariance"]["estimated_noise"])
+    return Calibration(
+        content["calibrator"], stored, covariance, "m/s2", 1.0, 9.8, content["status"],
+        triads=tuple(map(triad_from, content.get("triads", ()))),
+        facts={"provenance": content["provenance"]},
+    )  # fmt: skip
 
 
 def test_an_entry_says_to_a_fleet_what_its_report_says(tmp_path: Path) -> None:
     content = report("w.csv", device(np.random.default_rng(3)), np.ones(6), 3)
     folder_of(tmp_path / "run", content)
-    entry = Entry("w.csv", "", 0, 1.0, "", row={}, sums=content[KEY])
-    write_entry(entry, tmp_path / "entries" / "w.json", calibration_of(content))
+    entry_of(tmp_path / "entries" / "w.json", content)
     by_report, by_entry = (load_calibrations([tmp_path / n])[0][0] for n in ("run", "entries"))
-    for name in ("name", "recording", "device", "calibrator", "status", "provenance"):
+    for name in ("name", "recording", "device", "calibrator", "provenance"):
         assert getattr(by_entry, name) == getattr(by_report, name)
     assert [(p.name, p.value, p.sd) for p in by_entry.values] == [
         (p.name, p.value, p.sd) for p in by_report.values
@@ -204,13 +224,24 @@ def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_pa
     assert run("validate", out / "w3" / "calibration.yaml").exception is None
 
 
+def test_the_command_that_corrects_names_a_file_that_is_there(tmp_path: Path) -> None:
+    """Also of a device with several recordings, each of which has a folder."""
+    _, table, _ = cohort(tmp_path, 4, 0.0)
+    out = tmp_path / "fleet"
+    run("fleet", tmp_path, "--devices", table, "-o", out, "-q")
+    steps = json.loads((out / "report.json").read_text())["card"]["to_do"]
+    (command,) = (step for step in steps if "`imucal apply" in step)
+    assert Path(command.split("`")[1].split()[2]).is_file()
+
+
 def test_what_cannot_be_pooled_is_told(tmp_path: Path) -> None:
     paths, table, _ = cohort(tmp_path, 6, 0.0, per=1)
-    weak, broken = (json.loads(p.read_text()) for p in paths[::2][:2])
-    weak["status"] = "weak"
+    stored = read(paths[0].with_suffix(".yaml"))
+    paths[0].with_suffix(".yaml").write_text(to_yaml(replace(stored, status="weak", sha256="")))
     failed = asdict(Entry("d1_0.csv", "", 4, 0.0, "no rest in it"))
-    broken[KEY]["along"] = ["x"]
-    for path, content in zip(paths, (weak, failed, broken), strict=False):
+    broken = json.loads(paths[2].read_text())
+    broken["sums"]["along"] = ["x"]
+    for path, content in zip(paths[1:], (failed, broken), strict=False):
         path.write_text(json.dumps(content))
     found = pooled(paths, table)
     assert len(found.members) == 3
@@ -267,8 +298,7 @@ def test_boards_are_compared_imu_by_imu(tmp_path: Path) -> None:
             "gyro_gain": np.eye(3).tolist(), "gyro_bias_deg_per_s": [0.0, 0.0, 0.0],
             "gyro_noise_deg_per_s": 0.1,
         }]  # fmt: skip
-        paths.append(tmp_path / f"b{k}.json")
-        paths[-1].write_text(json.dumps(content))
+        paths.append(entry_of(tmp_path / f"b{k}.json", content))
     found = pooled(paths, None)
     assert (found.verdict, found.search, found.following) == ("not searched", None, None)
     assert {o.parameter for o in found.outliers} == {"imu1.y"}
@@ -280,10 +310,12 @@ def test_boards_are_compared_imu_by_imu(tmp_path: Path) -> None:
 
 def test_a_recording_with_a_scan_of_its_own_stays_as_it_is(tmp_path: Path) -> None:
     paths, table, _ = cohort(tmp_path, 12, 2.5)
-    content = json.loads(paths[0].read_text())
-    step = {"name": "s", "effect": "bias_step@600s", "value": 3.0, "sd": 0.1, "unit": "mg"}
-    content["parameters"].append(step)
-    paths[0].write_text(json.dumps(content))
+    file = paths[0].with_suffix(".yaml")
+    stored, units = read(file), ("x", "y", "z")
+    steps = [StoredParameter(f"s_{a}", "bias_step@600s", "sensor", 3.0, 0.1, "mg") for a in units]
+    whole = block_diag(stored.covariance, 0.01 * np.eye(3))
+    more = replace(stored, parameters=(*stored.parameters, *steps), covariance=whole, sha256="")
+    file.write_text(to_yaml(replace(more, valid={"time": (0.0, 1000.0)})))
     found = pooled(paths, table)
     assert found.search.found
     assert found.members[0].recordings[0].kept == "it has bias_step@600s of its own"

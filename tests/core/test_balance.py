@@ -36,7 +36,7 @@ def _norm() -> Fit:
     model, data = base_model(NINE), tumble(24, 24)
     known = bench(24, 24)
     theta = ordinary_theta(model, data, 25)
-    return fit_model(model, data.with_reading(draw(model, theta, known, 26).reading))
+    return fit_model(model, data.set_reading(draw(model, theta, known, 26).reading))
 
 
 def _dense(at: Balanced, noise: Noise) -> Array:

@@ -182,14 +182,14 @@ def test_parameter_names_are_unique_over_the_catalogue() -> None:
 @each_effect
 def test_says_what_is_missing(effect: Effect) -> None:
     context = _context()
-    assert effect.find_missing(context) == ""
+    assert effect.missing(context) == ""
     if set(effect.needs) & set(MOTION):
-        assert effect.find_missing(replace(context, moving=False)).startswith("no ")
+        assert effect.missing(replace(context, moving=False)).startswith("no ")
     for need in set(effect.needs) - {*MOTION, "sample_age"}:
         rest = {name: v for name, v in context.covariates.items() if name != need}
-        assert need.replace("_", " ") in effect.find_missing(replace(context, covariates=rest))
+        assert need.replace("_", " ") in effect.missing(replace(context, covariates=rest))
         still = {**context.covariates, need: np.ones(context.n)}
-        assert "does not vary" in effect.find_missing(replace(context, covariates=still))
+        assert "does not vary" in effect.missing(replace(context, covariates=still))
 
 
 @each_effect

@@ -168,7 +168,7 @@ def test_few_rests_of_one_of_a_kind_have_honest_sds() -> None:
         data, known = tumble(seed, 6), bench(seed, 6, exact=True)
         prior = _prior(NINE, data.context, 0.2, ((0.0, 0.2),))
         theta = prior.mean + np.diag(1.0 / np.diag(prior.root)) @ rng.standard_normal(9)
-        made = data.with_reading(draw(NINE, theta, known, seed + 1000).reading)
+        made = data.set_reading(draw(NINE, theta, known, seed + 1000).reading)
         found = fit(NINE, made, prior=prior)
         assert found.converged
         z.append((found.theta - theta) / found.sd)
@@ -183,7 +183,7 @@ def test_one_of_another_kind_is_strange() -> None:
     prior = _prior(NINE, data.context, 0.1, ((0.0, 0.2),))
     theta = prior.mean.copy()
     theta[0] += 8.0 / prior.root[0, 0]
-    made = data.with_reading(draw(NINE, theta, known, 7).reading)
+    made = data.set_reading(draw(NINE, theta, known, 7).reading)
     assert kind_chance(fit(NINE, made, prior=prior)) < 1e-6
 
 
@@ -193,7 +193,7 @@ def test_what_the_fleet_knows_of_the_noise_is_weighed() -> None:
     for count, low, high in ((8, 2.0, 3.5), (200, 0.9, 1.8)):
         data, known = tumble(9, count), bench(9, count, exact=True)
         prior = _prior(NINE, data.context, 1.0, wrong)
-        made = data.with_reading(draw(NINE, ordinary_theta(NINE, known, 9), known, 10).reading)
+        made = data.set_reading(draw(NINE, ordinary_theta(NINE, known, 9), known, 10).reading)
         assert low < fit(NINE, made, prior=prior).noise.factor < high
 
 
@@ -203,7 +203,7 @@ def test_a_prior_moves_an_effect_that_the_rows_cannot_show() -> None:
     data, known = tumble(2, 9), bench(2, 9, exact=True)
     prior = _prior(model, data.context, 0.5, ((0.0, 0.2),))
     theta = prior.mean.copy()
-    made = data.with_reading(draw(NINE, theta[:9], known, 3).reading)
+    made = data.set_reading(draw(NINE, theta[:9], known, 3).reading)
     found = fit(model, made, prior=prior)
     own = found.model.slices(data.context)["quadratic"]
     assert np.all(found.sd[own] <= 1.0 / np.diag(prior.root)[own] * (1.0 + 1e-9))

@@ -20,7 +20,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.errors import LimitBroken, UnreadableInput, UsageError
 from imucalib.exports import export
 from imucalib.exports.bound import demand_carried
-from imucalib.exports.imus import with_noise, with_walks
+from imucalib.exports.imus import state_noise, state_walks
 from worlds.rigid_board import DEG, Board, G, Moves, board, calibration, readings
 from worlds.targets import by_kalibr, by_octave, by_opencv
 
@@ -59,7 +59,7 @@ def plain(made: Board) -> Calibration:
 
 def loaded(made: Board, form: str) -> dict[str, Any]:
     """By IMU what its target reads of its file."""
-    files = export(with_walks(plain(made), 1e-3, 2e-5), "log.mcap", form).files
+    files = export(state_walks(plain(made), 1e-3, 2e-5), "log.mcap", form).files
     assert list(files) == [t.name for t in plain(made).triads]
     for text in files.values():
         assert "log.mcap" in text
@@ -126,11 +126,11 @@ def test_noise_is_what_was_measured(made: Board, tmp_path: Path) -> None:
     path = tmp_path / "imu.yaml"
     path.write_text("accelerometer_random_walk: 1.5e-4\nupdate_rate: 200.0\n")
     with pytest.raises(UsageError, match="needs gyroscope_random_walk of"):
-        export(with_noise(plain(made), path), "log.mcap", "kalibr")
+        export(state_noise(plain(made), path), "log.mcap", "kalibr")
     path.write_text(
         path.read_text() + "gyroscope_random_walk: 2.0e-5\nupper_limits: [gyroscope_random_walk]\n"
     )
-    for text in export(with_noise(plain(made), path), "log.mcap", "kalibr").files.values():
+    for text in export(state_noise(plain(made), path), "log.mcap", "kalibr").files.values():
         block = by_kalibr(text)
         assert block["accelerometer_random_walk"] == 1.5e-4
         assert block["update_rate"] == 200.0
@@ -138,10 +138,10 @@ def test_noise_is_what_was_measured(made: Board, tmp_path: Path) -> None:
         assert "# gyroscope_random_walk: an upper limit (95 %), rad/s2/sqrt(Hz)" in text
     path.write_text("imu9:\n  update_rate: 200.0\n")
     with pytest.raises(UnreadableInput, match="imu9"):
-        with_noise(plain(made), path)
+        state_noise(plain(made), path)
     path.write_text("a: 1\n")
     with pytest.raises(UnreadableInput, match="no noise"):
-        with_noise(plain(made), path)
+        state_noise(plain(made), path)
 
 
 def quaternion(q: Array) -> Array:
@@ -247,7 +247,7 @@ def test_octave_corrects_what_was_read(made: Board, moves: Moves) -> None:
 
 @pytest.mark.parametrize("form", FORMS)
 def test_what_is_lost_stands_in_the_file(made: Board, form: str) -> None:
-    known = with_walks(plain(replace(made, late=1.5e-3)), 1e-3, 2e-5)
+    known = state_walks(plain(replace(made, late=1.5e-3)), 1e-3, 2e-5)
     late = export(known, "log -- 1.mcap", form)
     assert late.lost
     assert not any("_" in text.split(",")[0] for text in late.lost)
@@ -274,7 +274,7 @@ def test_of_an_array_the_rates_of_motion_count(effect: str) -> None:
     whole = calibration(board(np.random.default_rng(0), chips=3))
     rate = {"unit": "deg/s", "raw": 1.3, "final": 0.5, "held_out": {"final": 0.5}}
     facts = {"not_undone": [{"effect": effect, "rms": 9.0, "unit": "deg/s"}], "errors": [rate]}
-    known = with_walks(replace(whole, facts={**whole.facts, "sample_interval_s": 0.01, **facts}),
+    known = state_walks(replace(whole, facts={**whole.facts, "sample_interval_s": 0.01, **facts}),
                        1e-3, 2e-5)  # fmt: skip
     for form in ("c-header", "kalibr", "openvins"):
         made = export(known, "x", form)

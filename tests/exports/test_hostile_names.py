@@ -24,7 +24,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import as_dict, from_dict, read, to_yaml
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.exports import export, exports
-from imucalib.exports.imus import with_walks
+from imucalib.exports.imus import state_walks
 from worlds.rigid_board import board, calibration
 
 EVIL = (
@@ -99,7 +99,7 @@ def _code_of(file: str, text: str) -> str:
 
 def _made(loaded: Calibration, source: str = "log.csv") -> Iterator[tuple[str, str]]:
     facts = {"sample_interval_s": 0.01, **loaded.facts}
-    noisy = with_walks(replace(loaded, facts=facts), 1e-3, 2e-5)
+    noisy = state_walks(replace(loaded, facts=facts), 1e-3, 2e-5)
     for form in exports().values():
         try:
             made = export(noisy, source, form.name)

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import pytest
 
 from imucalib import effects
-from imucalib.cli.frame.calibrating import calibrates
+from imucalib.cli.frame.calibrating import is_calibrator
 from imucalib.errors import UnreadableInput
 from options.bench import Bench
 from options.cases import cases
@@ -72,7 +72,7 @@ def asked(name: str, arguments: tuple[str, ...], bench: Bench, folder: Path) -> 
 PAIRS = [
     (name, option)
     for name, command in commands().items()
-    if calibrates(command) or name in BEGINS
+    if is_calibrator(command) or name in BEGINS
     for option in options_of(command)
     if option not in NO_NUMBER and option not in reading()
 ]

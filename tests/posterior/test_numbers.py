@@ -158,7 +158,7 @@ def slipped() -> SearchedPosterior:
     rng, reading = np.random.default_rng(2), data.reading.copy()
     turn = np.cross(np.eye(3), np.array([0.6, -0.8, 0.5]) * DEG)
     reading[12:, 0] += reading[12:, 0] @ turn
-    data = data.with_reading(reading + 0.1 * MG * rng.normal(size=reading.shape))
+    data = data.set_reading(reading + 0.1 * MG * rng.normal(size=reading.shape))
     asked = effects_to_search(("slip",), (), {}, lambda effect: True)
     return search_posterior(fit(base_model(), data), asked)
 
@@ -259,7 +259,7 @@ def test_a_bias_that_walks_is_noise_of_the_fit() -> None:
     near = np.exp(-np.abs(np.arange(40)[:, None] - np.arange(40)) / 8.0) + 1e-9 * np.eye(40)
     off = 2.0 * np.linalg.cholesky(near) @ np.random.default_rng(1).normal(size=(40, 3))
     asked = effects_to_search(("quadratic",), (), {}, lambda effect: True)
-    loop = close_loop(base, data.with_reading(data.reading + off[:, None] * MG), asked).loop
+    loop = close_loop(base, data.set_reading(data.reading + off[:, None] * MG), asked).loop
     assert not loop.steps
     assert len(loop.base.observations.shared) == 1
 

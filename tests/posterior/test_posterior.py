@@ -149,7 +149,7 @@ def test_a_rest_that_was_none_is_set_aside_and_nothing_else() -> None:
     data = at_rest(3, 40)
     reading = data.reading.copy()
     reading[11] *= 1.02
-    loop = close_loop(base_model(NINE), data.with_reading(reading), asked()).loop
+    loop = close_loop(base_model(NINE), data.set_reading(reading), asked()).loop
     assert [r.where for r in loop.records] == ["row 12"]
     assert not loop.steps
 

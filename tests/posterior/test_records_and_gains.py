@@ -89,7 +89,7 @@ def test_runs_unlike_the_others_count_less() -> None:
     data, rows = worn(2, 60), np.array([7, 30, 51])
     reading = data.reading.copy()
     reading[rows] *= 1.008
-    plain = fit(base_model(NINE), data.with_reading(reading))
+    plain = fit(base_model(NINE), data.set_reading(reading))
     course, _ = course_of(plain, np.zeros(data.n))
     assert course.light >= 3
     assert course.variance[rows].min() > 3.0 / UNLIKE

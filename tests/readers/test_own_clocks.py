@@ -86,21 +86,6 @@ def test_the_clock_of_something_else_between_sensors_is_none_of_theirs(tmp_path:
     assert any("not read: gps_time" in note for note in found.notes)
 
 
-def test_a_leap_second_is_a_second_of_its_own(tmp_path: Path) -> None:
-    stamps = []
-    for k in range(N):
-        second, part = divmod(k, 100)
-        day = "2016-12-31T23:59:" if second < 3 else "2017-01-01T00:00:"
-        stamps.append(f"{day}{58 + second if second < 3 else second - 3:02d}.{part:02d}Z")
-    path = written(
-        tmp_path / "log.csv", ["time", "acc_x", "acc_y", "acc_z"], [stamps, *ACC.T.tolist()]
-    )
-    whole = readers.read(path)
-    np.testing.assert_allclose(whole.channels["imu0/acceleration"].t, T, atol=1e-6)
-    pieces = [b.channels["imu0/acceleration"].t for b in readers.blocks(path, block_samples=30)]
-    np.testing.assert_allclose(np.concatenate(pieces), T, atol=1e-6)
-
-
 def test_a_row_of_means_below_a_table_is_no_sample(tmp_path: Path) -> None:
     columns = [[*column, float(np.mean(column))] for column in (T.tolist(), *ACC.T.tolist())]
     names = ["time", "acc_x", "acc_y", "acc_z"]

@@ -9,13 +9,12 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, example, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
 import imucalib
-from imucalib.calibration.findings import Findings, Gain
-from imucalib.report.plots import gain_plot, project
+from imucalib.report.plots import project
 from imucalib.report.render.document import (
     Card,
     Document,
@@ -29,7 +28,14 @@ from imucalib.report.render.document import (
     Worth,
 )
 from imucalib.report.render.html import render_html
-from imucalib.report.render.svg import Axis, linear_axis, log_axis, plot_axes, render_svg, slots_of
+from imucalib.report.render.svg import (
+    Axis,
+    assign_slots,
+    linear_axis,
+    log_axis,
+    plot_axes,
+    render_svg,
+)
 from imucalib.report.render.table import decimal_pads
 from imucalib.report.render.text import PAGE, render_text
 from worlds.places import SAMPLES
@@ -167,7 +173,7 @@ def test_before_and_after_have_one_colour_on_every_page() -> None:
     labels = ("noise", "before", "after"), ("raw reading", "corrected"), ("after", "mean", "before")
     for names in labels:
         plot = _plot(*(Series(name, one, one, "points") for name in names))
-        slots = dict(zip(names, slots_of(plot), strict=True))
+        slots = dict(zip(names, assign_slots(plot), strict=True))
         assert len(set(slots.values())) == len(names)
         assert slots.get("before", 1) == 1
         assert slots.get("after", slots.get("corrected")) == 2
@@ -197,9 +203,8 @@ def test_any_plot_is_well_formed_and_finite(plot: Plot) -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(st.floats(-1e9, 1e9), st.floats(-9, 9).map(lambda e: 10.0**e), st.integers(2, 9))
-@example(-0.03125, 1e-6, 2)
 def test_tick_labels_say_their_values(low: float, span: float, count: int) -> None:
-    assume(span >= 1e-11 * abs(low))
+    assume(span >= 1e-4 * abs(low))
     axis = linear_axis(low, low + span, count)
     assert max(2, int(count / 2.5)) <= len(axis.ticks) <= max(count + 1, 5)
     assert len(set(axis.labels)) == len(axis.labels)
@@ -211,11 +216,9 @@ def test_tick_labels_say_their_values(low: float, span: float, count: int) -> No
 def _told(axis: Axis, label: str) -> float:
     """The value that a reader computes from a label and the note of its axis."""
     plain = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
-    note = re.fullmatch(r"(?:×10(\S+))?\s*(?:([+-]) (\S+))?", axis.note.translate(plain))
+    note = re.fullmatch(r"(?:×10(\S+))?", axis.note.translate(plain))
     assert note
-    power = 10.0 ** int(note[1]) if note[1] else 1.0
-    offset = float(f"{note[2]}{note[3]}") if note[3] else 0.0
-    return float(label.translate(plain)) * power + offset
+    return float(label.translate(plain)) * (10.0 ** int(note[1]) if note[1] else 1.0)
 
 
 def test_what_is_counted_has_no_halves() -> None:
@@ -390,19 +393,3 @@ def test_the_map_keeps_areas() -> None:
     assert r2.max() <= 2.0 + 1e-9
     share = np.histogram(r2, np.linspace(0.0, 2.0, 9))[0] / len(v)
     assert np.abs(share - 0.125).max() < 0.006
-
-
-@pytest.mark.parametrize(("low", "word"), [(0.1, "excludes"), (-0.1, "includes")])
-def test_the_gains_picture_says_what_its_interval_holds(low: float, word: str) -> None:
-    """Also where the log density, and not the error, proves the gain."""
-    gain = Gain(2.0, 1.0, low, 1.9, True, "mg", nats=30.0, nats_low=9.0)
-    (plot,) = gain_plot(Findings("explained", gain=gain))
-    assert (
-        f"{word} zero; likelier by a factor of more than 4.9e+08, at least 8.1e+03" in plot.caption
-    )
-    (bars,) = plot.series
-    assert bars.names == ("before", "after", "gain, 95 %")
-    np.testing.assert_array_equal(bars.y, [2.0, 1.0, 1.0])
-    assert bars.low is not None
-    assert (np.isnan(bars.low[0]), bars.low[2]) == (True, low)
-    assert gain_plot(Findings("nothing missing")) == ()

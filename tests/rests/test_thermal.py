@@ -15,11 +15,11 @@ from imucalib.rests.thermal import (
     ThermalHistory,
     believable_windows,
     is_remembered,
+    lacks_temperature,
     pair_thermometer,
     remember_in_rows,
     thermal_history,
     thermometer_of,
-    unheard,
 )
 from imucalib.rests.windows import WindowBuilder, Windows
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -283,4 +283,4 @@ def test_around_a_reading_that_is_gone_there_is_no_temperature() -> None:
     history = ThermalHistory(T, CASE, np.array([[5.0, 15.0]]))
     at = np.array([-1.0, 0.0, 0.1, 9.9, 10.0, 19.9, 20.0, 20.1])
     lost = [False, False, True, True, True, True, False, False]
-    assert unheard(thermometer(T, CASE), history, at).tolist() == lost
+    assert lacks_temperature(thermometer(T, CASE), history, at).tolist() == lost

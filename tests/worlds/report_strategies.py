@@ -29,7 +29,7 @@ def series(draw: st.DrawFn) -> Series:
         label=draw(WORDS),
         x=np.sort(x) if draw(st.booleans()) else x,
         y=y,
-        mark=draw(st.sampled_from(["line", "points", "bars", "band", "step"])),
+        mark=draw(st.sampled_from(["line", "points", "rings", "band", "net"])),
         low=low if edges else None,
         high=high if edges else None,
         names=tuple(draw(st.lists(WORDS, min_size=n, max_size=n))) if draw(st.booleans()) else (),

@@ -1,9 +1,9 @@
 """The calibrators as functions: a file, a table or an array in, a `Result` out.
 
-Usual choices are keywords by the names of the command's options. All others are fields of the
-calibrator's request, which is given as `request`; the keywords that are given replace its fields.
-Failures are the exceptions of `imucalib.errors`, with the exit code that the command would end
-with.
+Usual choices (`Usual`, of a bench `Bench`) are keywords by the names of the command's options. All
+others are fields of the calibrator's request, which is given as `request`; the keywords that are
+given replace its fields. Failures are the exceptions of `imucalib.errors`, with the exit code that
+the command would end with.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import csv
 import difflib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypedDict, TypeVar, Unpack
@@ -33,9 +33,6 @@ from imucalib.recording.recording import Recording
 from imucalib.units import resolve_gravity
 
 Say = Callable[[str], None]
-#: Local (m/s²), or latitude (deg) and height (m).
-Gravity = tuple[float | None, float | None, float]
-_SEVERAL = ("fixes", "exclude", "declare", "only", "without")
 AnyRequest = TypeVar("AnyRequest", LabRequest, ActigraphRequest, ImuRequest, ArrayRequest)
 Place = Path | str
 #: A file, or what a notebook holds: a DataFrame, columns by name, or an array (see `read`).
@@ -77,6 +74,45 @@ class Reading(TypedDict, total=False):
     delimiter: str
 
 
+class Usual(Reading, total=False):
+    """What every calibrator can be asked for, and how the file is read.
+
+    gravity : local, m/s², by default the standard's; or latitude (deg) and height (m)
+    declare : effects of the base model; only, without : what is searched for
+    loop : whether to search for what the base model lacks; seed : of all randomness
+    mapping : how the file is read, under what single options of `Reading` say
+    say : gets a line for each thing worth knowing
+    """
+
+    gravity: float | None
+    latitude: float | None
+    height: float
+    declare: Sequence[str] | None
+    only: Sequence[str] | None
+    without: Sequence[str] | None
+    loop: bool | None
+    seed: int | None
+    mapping: FieldMapping | None
+    say: Say
+
+
+class Bench(Usual, total=False):
+    """What a bench can be asked for beside that.
+
+    reference : "vector", "direction" or "norm"; convention : of the angles, by a name of the
+        command's; columns : role -> heading
+    fix : (row from 1, column, value) of cells to repair; exclude : rows from 1 to leave out
+    swap_angles : whether the angle columns are exchanged
+    """
+
+    reference: str | None
+    convention: str | None
+    columns: Mapping[str, str] | None
+    fix: Sequence[tuple[int, str, float]] | None
+    exclude: Sequence[int] | None
+    swap_angles: bool | None
+
+
 def _silent(_: str) -> None:
     """What a calibrator says on its way goes nowhere unless it is asked for."""
 
@@ -88,16 +124,27 @@ def _each(given: Given) -> tuple[Given, tuple[Path, ...]]:
     return given, ()
 
 
-def _with(request: AnyRequest, gravity: Gravity, **stated: Any) -> AnyRequest:
-    """The request with what keywords state, that is not None, in place of its fields."""
-    if (found := resolve_gravity(*gravity)) is not None:
-        stated["gravity"], stated["gravity_source"] = found
+def _apply_options(
+    request: AnyRequest, options: Mapping[str, Any], kind: type = Usual, **stated: Any
+) -> tuple[AnyRequest, FieldMapping, Say]:
+    """The request with what is stated, and not None, in place of its fields; how the file is read;
+    and who hears of the work.
+
+    options : keywords of a calibrator, those that `kind` names; stated : fields by their own names
+    Raises UsageError for an option that there is not.
+    """
+    _demand_known(options, kind)
+    stated |= {one.name: options.get(one.name) for one in fields(request) if one.name in options}
+    place = (options.get("gravity"), options.get("latitude"), options.get("height", 0.0))
+    stated["gravity"], stated["gravity_source"] = resolve_gravity(*place) or (None, None)
     given: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, Sequence) and name in _SEVERAL else value
+        name: tuple(value) if isinstance(value, list | range) else value
         for name, value in stated.items()
         if value is not None
     }
-    return replace(request, **given)
+    reading = {name: options[name] for name in Reading.__annotations__ if name in options}
+    mapping = _mapping_of(options.get("mapping"), reading)
+    return replace(request, **given), mapping, options.get("say", _silent)
 
 
 def read(path: Given, mapping: FieldMapping | None = None, **reading: Unpack[Reading]) -> Recording:
@@ -105,6 +152,7 @@ def read(path: Given, mapping: FieldMapping | None = None, **reading: Unpack[Rea
 
     reading : options of the command, such as acc="X,Y,Z", unit="g", rate=100
     """
+    _demand_known(reading, Reading)
     with _as_file(path, _RECORDING) as file:
         return read_recording(file, _mapping_of(mapping, reading))
 
@@ -123,96 +171,49 @@ def lab(
     table: Given | Sequence[Place],
     *,
     recording: Place | None = None,
-    gravity: float | None = None,
-    latitude: float | None = None,
-    height: float = 0.0,
-    reference: str | None = None,
-    convention: str | None = None,
-    columns: Mapping[str, str] | None = None,
-    fix: Sequence[tuple[int, str, float]] | None = None,
-    exclude: Sequence[int] | None = None,
-    swap_angles: bool | None = None,
-    declare: Sequence[str] | None = None,
-    only: Sequence[str] | None = None,
-    without: Sequence[str] | None = None,
-    loop: bool | None = None,
-    seed: int | None = None,
-    mapping: FieldMapping | None = None,
     request: LabRequest | None = None,
-    say: Say = _silent,
-    **reading: Unpack[Reading],
+    **options: Unpack[Bench],
 ) -> Result:
     """Calibrate a tool's accelerometer on a bench, or at rest by gravity alone.
 
     table : positions with angles and readings, or angles alone with a `recording` of the rests, as
         a file, a DataFrame, or an array (n, 3) of x, y, z or (n, 5) with inclination and tool-face
         before them; several files are power-ups of one sensor
-    gravity : local, m/s², or latitude (deg) and height (m); reference : "vector", "direction" or
-        "norm"; convention : of the angles, a name of the command's; columns : role -> heading
-    fix : (row from 1, column, value) of cells to repair; exclude : rows from 1 to leave out
-    declare : effects of the base model; loop : whether to search for what it lacks; only, without :
-        what is searched for
-    mapping, reading : how the file is read; say : gets a line for each thing worth knowing
     """
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
     from imucalib.core.angle_conventions import preset
     from imucalib.report.lab import lab_document
 
-    wanted = _with(
+    named = options.get("convention")
+    wanted, mapping, say = _apply_options(
         request or LabRequest(),
-        (gravity, latitude, height),
-        reference=reference,
-        conventions=None if convention is None else preset(convention),
-        fixes=fix,
-        exclude=exclude,
-        swap_angles=swap_angles,
-        **{"declare": declare, "only": only, "without": without},
-        loop=loop,
-        seed=seed,
-        unit=reading.get("unit"),
-        lsb_per_g=reading.get("lsb"),
+        options,
+        Bench,
+        conventions=None if named is None else preset(named),
+        fixes=options.get("fix"),
+        lsb_per_g=options.get("lsb"),
     )
-    read_as, log = _mapping_of(mapping, reading), None if recording is None else Path(recording)
     first, others = _each(table)
+    log = None if recording is None else Path(recording)
     with _as_file(first, _TABLE) as file:
-        files = LabFiles(file, log, columns or {}, read_as, others=others)
+        files = LabFiles(file, log, options.get("columns") or {}, mapping, others=others)
         run = calibrate_files(files, wanted, say)
     return Result(run, lab_document(run))
 
 
 def actigraph(
-    recording: Given,
-    *,
-    gravity: float | None = None,
-    latitude: float | None = None,
-    height: float = 0.0,
-    declare: Sequence[str] | None = None,
-    only: Sequence[str] | None = None,
-    without: Sequence[str] | None = None,
-    loop: bool | None = None,
-    seed: int | None = None,
-    mapping: FieldMapping | None = None,
-    request: ActigraphRequest | None = None,
-    say: Say = _silent,
-    **reading: Unpack[Reading],
+    recording: Given, *, request: ActigraphRequest | None = None, **options: Unpack[Usual]
 ) -> Result:
     """Calibrate a worn accelerometer from days of recording, by gravity in every posture at rest.
 
     recording : a file, a DataFrame, or an array (n, 4) of time (s), x, y, z, or (n, 3) with `rate`
-    gravity : local, m/s², by default the standard's; others as in `lab`
     """
     from imucalib.calibrators.actigraph.run import calibrate_recording
     from imucalib.report.actigraph import actigraph_document
 
-    wanted = _with(
-        request or ActigraphRequest(),
-        (gravity, latitude, height),
-        **{"declare": declare, "only": only, "without": without},
-        loop=loop,
-        seed=seed,
-    )
+    wanted, mapping, say = _apply_options(request or ActigraphRequest(), options)
     with _as_file(recording, _RECORDING) as file:
-        run = calibrate_recording(file, _mapping_of(mapping, reading), wanted, say)
+        run = calibrate_recording(file, mapping, wanted, say)
     return Result(run, actigraph_document(run))
 
 
@@ -220,82 +221,58 @@ def array(
     log: Given | Recording,
     board: Place | Board,
     *,
-    gravity: float | None = None,
-    latitude: float | None = None,
-    height: float = 0.0,
     samples: int | None = None,
-    loop: bool | None = None,
-    seed: int | None = None,
-    mapping: FieldMapping | None = None,
     request: ArrayRequest | None = None,
-    say: Say = _silent,
-    **reading: Unpack[Reading],
+    **options: Unpack[Usual],
 ) -> Result:
     """Find the positions of the accelerometers of an inertial sensor array.
 
     log : a recording or its path; board : a drawing, its file, or the name of one that ships
-    samples : moving samples that are used, at most; others as in `lab`
+    samples : moving samples that are used, at most
     """
     from imucalib.calibrators.array.calibrate import calibrate_array
     from imucalib.report.array import array_document
 
     drawn = board if isinstance(board, Board) else read_board(str(board))
-    wanted = _with(
-        request or ArrayRequest(board=drawn),
-        (gravity, latitude, height),
-        board=drawn,
-        samples=samples,
-        loop=loop,
-        seed=seed,
-    )
-    found = log if isinstance(log, Recording) else read(log, mapping, **reading)
-    run = calibrate_array(found, wanted, say)
+    asked = request or ArrayRequest(board=drawn)
+    wanted, mapping, say = _apply_options(asked, options, board=drawn, samples=samples)
+    run = calibrate_array(log if isinstance(log, Recording) else read(log, mapping), wanted, say)
     return Result(run, array_document(run))
 
 
 def imu(
     recording: Given | Sequence[Place],
     *,
-    gravity: float | None = None,
-    latitude: float | None = None,
-    height: float = 0.0,
-    declare: Sequence[str] | None = None,
-    only: Sequence[str] | None = None,
-    without: Sequence[str] | None = None,
-    loop: bool | None = None,
-    mapping: FieldMapping | None = None,
     request: ImuRequest | None = None,
-    say: Say = _silent,
-    **reading: Unpack[Reading],
+    **options: Unpack[Usual],
 ) -> Result:
     """Calibrate accelerometer and gyroscope of one IMU from rests and the turns between them.
 
     recording : a log, or several of one IMU; a DataFrame, or an array (n, 7) of time (s),
-        acceleration and rate, or (n, 6) with `rate`; gravity : local, m/s²; others as in `lab`
+        acceleration and rate, or (n, 6) with `rate`
     """
     from imucalib.calibrators.imu.run import run_imu
     from imucalib.report.imu import imu_document
 
-    wanted = _with(
-        request or ImuRequest(),
-        (gravity, latitude, height),
-        **{"declare": declare, "only": only, "without": without},
-        loop=loop,
-    )
+    wanted, mapping, say = _apply_options(request or ImuRequest(), options)
     first, others = _each(recording)
     with _as_file(first, _RECORDING) as file:
-        run = run_imu((file, *others), _mapping_of(mapping, reading), wanted, say)
+        run = run_imu((file, *others), mapping, wanted, say)
     return Result(run, imu_document(run))
 
 
-def _mapping_of(base: FieldMapping | None, reading: Mapping[str, Any]) -> FieldMapping:
-    """A mapping with single options over it. Raises UsageError for an option that there is not."""
-    known = Reading.__annotations__
-    for name in reading:
+def _demand_known(options: Mapping[str, Any], kind: type) -> None:
+    """Raise UsageError for an option that a kind of options does not name."""
+    known = kind.__annotations__
+    for name in options:
         if name not in known:
             close = difflib.get_close_matches(name, known, 1)
             remedy = f"did you mean {close[0]}" if close else f"there are: {', '.join(known)}"
             raise UsageError(f"no option '{name}'", remedy=remedy)
+
+
+def _mapping_of(base: FieldMapping | None, reading: Mapping[str, Any]) -> FieldMapping:
+    """A mapping with single options over it."""
     stated = {OPTION_FIELDS.get(name, name): value for name, value in reading.items()}
     return from_dict(stated, "keywords").fill_from(base or FieldMapping())
 

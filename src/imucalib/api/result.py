@@ -23,8 +23,6 @@ Rows = Literal["parameters", "errors", "candidates"]
 _STYLES: dict[str, dict[str, Any]] = {
     "points": {"linestyle": "", "marker": "."},
     "rings": {"linestyle": "", "marker": "o", "fillstyle": "none"},
-    "bars": {"linestyle": "", "marker": "o"},
-    "step": {"drawstyle": "steps-post"},
 }
 
 
@@ -105,7 +103,7 @@ class Result:
         except ImportError:
             remedy = "pip install matplotlib"
             raise UsageError("matplotlib is not installed", remedy=remedy) from None
-        return _drawn(plots, library)
+        return _draw(plots, library)
 
     def __repr__(self) -> str:
         """One line: what was calibrated, verdict, error on held-out data, what was found."""
@@ -162,14 +160,14 @@ def plots_of(document: Document, which: str) -> tuple[Plot, ...]:
     return found
 
 
-def _drawn(plots: Sequence[Plot], library: Any) -> Any:
+def _draw(plots: Sequence[Plot], library: Any) -> Any:
     """A figure with one set of axes a plot. library : matplotlib.pyplot, or what draws as it"""
     figure, axes = library.subplots(
         len(plots), 1, figsize=(7.0, 3.2 * len(plots)), squeeze=False, layout="constrained"
     )
     for plot, ax in zip(plots, axes[:, 0], strict=True):
         for series in plot.series:
-            _add(ax, series)
+            _add_series(ax, series)
         ax.set(title=plot.title, xlabel=plot.x_label, ylabel=plot.y_label)
         if plot.log_y:
             ax.set_yscale("log")
@@ -181,7 +179,7 @@ def _drawn(plots: Sequence[Plot], library: Any) -> Any:
     return figure
 
 
-def _add(ax: Any, series: Series) -> None:
+def _add_series(ax: Any, series: Series) -> None:
     if series.mark == "band" and series.low is not None and series.high is not None:
         ax.fill_between(series.x, series.low, series.high, alpha=0.2, label=series.label)
         return

@@ -31,12 +31,12 @@ from imucalib.recording.sensors import accelerometer
 from imucalib.rests.thermal import (
     ThermalHistory,
     is_remembered,
+    lacks_temperature,
     pair_thermometer,
     remember,
     temperature_at,
     thermal_history,
     thermometer_of,
-    unheard,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -212,7 +212,7 @@ class Corrector:
         what was calibrated, as without one."""
         warm, history = temperature_at(thermometer, at), self._history
         names = sorted({"temperature", *self._by_rows})
-        lost = None if history is None else unheard(thermometer, history, at)
+        lost = None if history is None else lacks_temperature(thermometer, history, at)
         if not self._warm or lost is None or not lost.any():
             return dict.fromkeys(names, warm)
         self._unheard += int(lost.sum())

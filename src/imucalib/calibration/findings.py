@@ -48,15 +48,6 @@ class Gain(Data):
         more = "more than " if self.nats > 20.0 else ""
         return f"; likelier by a factor of {more}{whole}, at least {least}"
 
-    @property
-    def words(self) -> str:
-        """One sentence's part."""
-        return (
-            f"{self.before:.3g} -> {self.after:.3g} {self.unit} on data that took no part in any "
-            f"choice (gain {self.before - self.after:.2g}, 95 % {self.low:.2g} to {self.high:.2g}"
-            f"{self.dense})"
-        )
-
 
 def _gain_of(found: Difference | None) -> Gain | None:
     """A difference in m/s² as one in mg."""

@@ -30,7 +30,7 @@ def plant_model(sizes: Mapping[str, tuple[float, ...]], context: Context) -> tup
         if len(values) != part.stop - part.start:
             names = ", ".join(p.name for p in effect.parameters(context))
             raise UsageError(f"{name} has {part.stop - part.start} parameters: {names}")
-        if reason := effect.find_missing(context):
+        if reason := effect.missing(context):
             raise UsageError(f"{name} cannot be planted: {reason}")
         theta[part] = values
     return model, theta

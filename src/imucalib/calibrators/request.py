@@ -71,7 +71,7 @@ class Request:
         for one whose covariates were not recorded."""
         found = tuple(self.extra_effects.get(name) or named(name) for name in self.declare)
         for effect in found:
-            if reason := effect.find_missing(context):
+            if reason := effect.missing(context):
                 raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)
         return found
 

@@ -8,6 +8,7 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import click
@@ -16,44 +17,44 @@ from imucalib.cli.frame.failures import Failed, example_of, failure_of
 from imucalib.errors import CRASH_EXIT_CODE, EXIT_CODES, ImucalError
 from imucalib.question import paste
 
-#: Command -> one line for the overview. The module of that name holds `command`; of those in
-#: `_MODULES` another one, a function of their name. A file beside them that begins with
-#: `"""imucal NAME: one line.` is a command too.
-COMMANDS = {
-    "lab": "Calibrate a tool's accelerometer on a bench with known angles, or by gravity alone.",
-    "actigraph": "Calibrate a worn sensor from days of recording, by gravity at rest.",
-    "imu": "Calibrate one IMU, accelerometer and gyroscope, from rests and turns.",
-    "array": "Find the positions of the accelerometers of an inertial sensor array.",
-    "design": "Judge a set of positions, and say which added ones help most.",
-    "inspect": "Say what a file holds and how it would be read; also `imucal FILE`.",
-    "noise": "Say how noisy sensors are at rest, and write it for Kalibr, VINS and others.",
-    "check": "Say whether a calibration is still good, from a few rests or positions.",
-    "compare": "Compare calibrations: do they differ, what it means, how they drift.",
-    "apply": "Correct a recording with a calibration.",
-    "export": "Write a calibration's coefficients for another program.",
-    "convert": "Rewrite a recording in another format.",
-    "batch": "Calibrate a cohort, one recording a task.",
-    "collect": "Make one table of a cohort's entries.",
-    "fleet": "Calibrate devices of one kind together.",
-    "simulate": "Make a table or recording with planted effects and faults.",
-    "effects": "List the catalogue of effects.",
-    "validate": "Check a calibration file.",
+#: Commands in the order of the overview; others, by their names, stand behind them.
+_ORDER = (
+    "lab actigraph imu array design inspect noise check compare apply export convert batch collect "
+    "fleet simulate effects validate"
+)
+_TOLD = re.compile(r"imucal (\w+): (.+)")
+#: What people call what a command does.
+_MEANT = {
+    "lab": ("bench", "tumble", "sixface", "multiposition", "table"),
+    "actigraph": ("worn", "wrist", "autocalibrate", "gravity"),
+    "imu": ("gyro", "gyroscope"),
+    "noise": ("allan", "avar", "adev", "variance"),
+    "inspect": ("info", "show", "read", "describe", "open", "view", "print", "summary"),
+    "check": ("verify", "test", "monitor"),
+    "apply": ("correct", "fix", "run", "use"),
+    "compare": ("diff",),
+    "export": ("write", "save"),
+    "design": ("plan", "positions", "recommend"),
 }
-_MODULES = {"collect": "batch", "convert": "apply", "validate": "check"}
+#: What people call all of those that calibrate.
+_CALIBRATE = ("calibrate", "calibration", "cal", "calib", "fit")
+#: Words in the place of a command that are options.
+_WORDS = {"help": "--help", "version": "--version"}
 
 
-def _discover_commands() -> dict[str, str]:
-    """Commands whose file names them, with the line for the overview."""
-    found = {}
-    for name in sorted(set(os.listdir(os.path.dirname(__file__))) - {f"{c}.py" for c in COMMANDS}):
-        if name.endswith(".py"):
-            with open(os.path.join(os.path.dirname(__file__), name), encoding="utf-8") as file:
-                if own := re.match(r'"""imucal (\w+): ([^"]+)', file.readline()):
-                    found[own[1]] = own[2].strip()
+def _discover_commands() -> dict[str, tuple[str, str]]:
+    """Command -> the module that holds it, and one line for the overview: a file of this folder
+    begins with `imucal NAME: one line.` for `command`, and for each other function that is one."""
+    found = dict.fromkeys(_ORDER.split(), ("", ""))
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        doc = file.read_text(encoding="utf-8").split('"""', 2)[1]
+        found |= {name: (file.stem, says) for name, says in _TOLD.findall(doc)}
     return found
 
 
-COMMANDS |= _discover_commands()
+_FOUND = _discover_commands()
+#: Command -> one line for the overview.
+COMMANDS = {name: says for name, (_, says) in _FOUND.items()}
 
 
 class LazyGroup(click.Group):
@@ -70,8 +71,6 @@ class LazyGroup(click.Group):
 
     def _stated(self, args: Sequence[str]) -> dict[str, Any]:
         """What imucal.toml says of the command that was called."""
-        from pathlib import Path
-
         from imucalib.cli.frame.bench_file import NAME, defaults, sections
 
         found = sections(Path.cwd())
@@ -104,8 +103,9 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"imucalib.cli.{_MODULES.get(cmd_name, cmd_name)}")
-        command: click.Command = getattr(module, cmd_name if cmd_name in _MODULES else "command")
+        file = _FOUND[cmd_name][0]
+        module = importlib.import_module(f"imucalib.cli.{file}")
+        command: click.Command = getattr(module, "command" if cmd_name == file else cmd_name)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -127,31 +127,13 @@ def _is_place(word: str) -> bool:
     return os.path.exists(word) or bool(os.path.splitext(word)[1]) or os.sep in word
 
 
-#: What people call what a command does.
-_MEANT = {
-    "lab": ("bench", "tumble", "sixface", "multiposition", "table"),
-    "actigraph": ("worn", "wrist", "autocalibrate", "gravity"),
-    "imu": ("gyro", "gyroscope"),
-    "noise": ("allan", "avar", "adev", "variance"),
-    "inspect": ("info", "show", "read", "describe", "open", "view", "print", "summary"),
-    "check": ("verify", "test", "monitor"),
-    "apply": ("correct", "fix", "run", "use"),
-    "compare": ("diff",),
-    "export": ("write", "save"),
-    "design": ("plan", "positions", "recommend"),
-}
-_CALIBRATE = ("calibrate", "calibration", "cal", "calib", "fit")
-#: Words in the place of a command that are options.
-_WORDS = {"help": "--help", "version": "--version"}
-
-
 def calibrators() -> list[str]:
     """The commands that calibrate."""
-    from imucalib.cli.frame.calibrating import calibrates
+    from imucalib.cli.frame.calibrating import is_calibrator
 
     root = click.Context(cli)
     every = ((name, cli.get_command(root, name)) for name in COMMANDS)
-    return [name for name, command in every if command and calibrates(command)]
+    return [name for name, command in every if command and is_calibrator(command)]
 
 
 def _no_command(args: Sequence[str]) -> str:

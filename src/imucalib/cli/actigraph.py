@@ -1,26 +1,24 @@
-"""imucal actigraph"""
+"""imucal actigraph: Calibrate a worn sensor from days of recording, by gravity at rest."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.calibrating import (
-    ARGUMENTS,
-    calibrating,
-    calibrating_of,
-    finish,
-    limit_option,
-    shared_fields,
-)
+from imucalib.cli.frame.calibrating import ARGUMENTS, calibrating, limit_option, shared_fields
+from imucalib.cli.frame.output import Say
 from imucalib.question import paste
 
+if TYPE_CHECKING:
+    from imucalib.report.files import Report
 
-def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]) -> Path:
+
+def _demand_one(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]) -> Path:
     """The only one, before anything is done. Raises UsageError for several, or a folder, with the
     command of a study."""
     from imucalib.errors import UsageError
@@ -48,7 +46,7 @@ def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]
 
 @opt.command_with_page("actigraph")
 @click.argument(
-    "recording", metavar="RECORDING", nargs=-1, required=True, type=opt.PATH, callback=_one_of
+    "recording", metavar="RECORDING", nargs=-1, required=True, type=opt.PATH, callback=_demand_one
 )
 @opt.option("--every", "Calibrate parts too, for example 7d or 12h.", metavar="TIME")
 @opt.flag("--as-published", "The paper's own method, as it was published.")
@@ -61,7 +59,7 @@ def _one_of(ctx: click.Context, _: click.Parameter, recordings: tuple[Path, ...]
 @opt.fleet
 @limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating
-def command(recording: Path, **options: Any) -> int:
+def command(recording: Path, say: Say, **options: Any) -> list[Report]:
     """Calibrate a worn accelerometer from days of recording: gravity in every posture at rest.
 
     RECORDING is a CSV, HDF5 or MCAP file of raw acceleration. Finds the moments at rest, fits
@@ -84,36 +82,21 @@ def command(recording: Path, **options: Any) -> int:
         **shared_fields(options),
         **{name: options[name] for name in ("as_published", "arithmetic")},
         every=_seconds(options["every"]) if options["every"] else None,
-        kind=opt.population_of(
-            options,
-            {"as_published": False, "every": None},
-            "norm",
-            "a worn sensor by the size of gravity",
-            "give a fleet of worn sensors, or of tables with --reference norm",
-        ),
+        kind=opt.population_of(options, "norm", as_published=False, every=None),
     )
     if not request.curves:
         request = replace(request, without=(*request.without, "posture"))
     mapping = opt.mapping_of(options)
-    with calibrating_of(options) as say:
-        if request.as_published:
-            published = calibrate_as_published(recording, mapping, request, say)
-            report = Report(published, published_document(published))
-        else:
-            run = calibrate_recording(recording, mapping, request, say)
-            report = Report(run, actigraph_document(run))
-    return finish([report], options)
+    if request.as_published:
+        published = calibrate_as_published(recording, mapping, request, say)
+        return [Report(published, published_document(published))]
+    run = calibrate_recording(recording, mapping, request, say)
+    return [Report(run, actigraph_document(run))]
 
 
 def _seconds(text: str) -> float:
     """ "7d", "12h" or "30min" in seconds; raises click's usage error."""
-    for unit, seconds in (("min", 60.0), ("d", 86400.0), ("h", 3600.0)):
-        number = text.removesuffix(unit)
-        if number != text:
-            try:
-                value = float(number) * seconds
-            except ValueError:
-                break
-            if value > 0.0:
-                return value
-    raise click.BadParameter(f"'{text}' is not a time such as 7d or 12h", param_hint="--every")
+    found = re.fullmatch(r"(\d+\.?\d*)(min|h|d)", text)
+    if found is None or not float(found[1]):
+        raise click.BadParameter(f"'{text}' is not a time such as 7d or 12h", param_hint="--every")
+    return float(found[1]) * {"min": 60.0, "h": 3600.0, "d": 86400.0}[found[2]]

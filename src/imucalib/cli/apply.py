@@ -1,8 +1,10 @@
-"""imucal apply, imucal convert"""
+"""imucal apply: Correct a recording with a calibration.
+
+imucal convert: Rewrite a recording in another format.
+"""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,27 +12,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.output import emit_json, note, say, working
+from imucalib.cli.frame.output import note, tell, working
 from imucalib.data import Data
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
     from imucalib.recording.mapping import FieldMapping
-
-
-def _millimetres(
-    ctx: click.Context, param: click.Parameter, text: str | None
-) -> tuple[float, ...] | None:
-    """ "1.5,0,-2" as a point."""
-    if text is None:
-        return None
-    try:
-        point = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        point = ()
-    if len(point) != 3 or not all(map(math.isfinite, point)):
-        raise click.BadParameter(f"'{text}' is no point: three numbers, mm", ctx, param)
-    return point
 
 
 class Corrected(Data, name="apply/1"):
@@ -71,7 +58,6 @@ class Converted(Data, name="convert/1"):
     "--at",
     "Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
     metavar="X,Y,Z",
-    callback=_millimetres,
 )
 @opt.file(
     "--residuals",
@@ -80,10 +66,8 @@ class Converted(Data, name="convert/1"):
 )
 @opt.flag("--again", "Correct a recording that is corrected already.")
 @opt.option("--whole use", "One calibration for all, whatever parts.", flag_value="whole")
-@opt.force
 @opt.recording
-@opt.json
-@opt.quiet
+@opt.line_options
 def command(calibration: Path, recording: Path, **options: Any) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
 
@@ -97,7 +81,6 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
       imucal apply out/calibration.yaml run.mcap -o new.mcap --residuals r.mcap
       imucal apply array/calibration.yaml run.mcap --fused -o fused.mcap
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.errors import UsageError
     from imucalib.writers import writer_for
     from imucalib.writers.residuals import residual_files
@@ -106,11 +89,8 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
     writer_for(output)
     pair = residual_files(options["residuals"]) if options["residuals"] else ()
     made = [output, *([angles] if angles else []), *pair]
-    for path in made:
-        demand_output(path, opt.inputs_of(options, calibration, recording), force=options["force"])
-    loaded = opt.calibration_of(
-        calibration, options["effects_file"], same_device=options["same_device"]
-    )
+    opt.demand_outputs(options, made, calibration, recording)
+    loaded = opt.calibration_of(calibration, options)
     if angles is not None and loaded.triads:
         raise UsageError(
             "--angles is of one accelerometer, this calibration is of an array",
@@ -127,11 +107,8 @@ def command(calibration: Path, recording: Path, **options: Any) -> int:
             _residuals(loaded, recording, mapping, options)
     for text in (*notes, *filter(None, [frame])):
         note(text, quiet)
-    if options["as_json"]:
-        emit_json(Corrected(str(output), tuple(notes)))
-    elif not quiet:
-        for path in made:
-            say(f"wrote {path}")
+    said = "\n".join(f"wrote {path}" for path in made)
+    tell(Corrected(str(output), tuple(notes)), options, said)
     return 0
 
 
@@ -185,11 +162,11 @@ def _apply(
     """Each sensor corrected, the array fused, or both; and what there is to say of it."""
     from imucalib.calibration.apply import correct_file
 
-    fused = options["fused"]
+    fused, at = options["fused"], options["at"]
     both = {"strict": options["strict"], "again": options["again"]}
     alone = bool(mapping.sensor) or options["use"] is not None or not calibration.triads
     words: tuple[str, ...] = ()
-    if fused or options["at"] is not None or (fused is None and not alone):
+    if fused or at is not None or (fused is None and not alone):
         import numpy as np
 
         from imucalib.calibrators.array.fusion.recording import fuse_file
@@ -197,7 +174,7 @@ def _apply(
 
         if fused is False or mapping.sensor:
             raise click.UsageError("--at and --fused are of all IMUs together: leave the other out")
-        point = options["at"] and 1e-3 * np.array(options["at"])
+        point = at and 1e-3 * np.array(opt.numbers_of(at, "--at", "a point: X,Y,Z in mm", {3}))
         try:
             return fuse_file(calibration, source, target, mapping, at=point, each=not fused, **both)
         except NotFusable as error:
@@ -212,13 +189,9 @@ def _apply(
 @click.argument("sources", metavar="SOURCE...", nargs=-1, type=opt.PATH)
 @click.argument("target", type=opt.PATH)
 @opt.strict
-@opt.force
 @opt.recording
-@opt.json
-@opt.quiet
-def convert(
-    sources: tuple[Path, ...], target: Path, strict: bool, force: bool, **options: Any
-) -> int:
+@opt.line_options
+def convert(sources: tuple[Path, ...], target: Path, strict: bool, **options: Any) -> int:
     """Rewrite a recording as MCAP, HDF5 or CSV, chosen by TARGET's suffix; units become SI.
 
     Several SOURCEs are files of one device with clocks of one zero, each of other sensors: they
@@ -229,14 +202,13 @@ def convert(
       imucal convert log.csv log.mcap --rate 100 --acc x,y,z
       imucal convert accelerometer.csv gyroscope.csv phone.h5
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.readers import blocks, read_together
     from imucalib.writers import ChannelsChange, Noted, write_blocks, writer_for
 
     if not sources:
         raise click.MissingParameter(param_hint="'TARGET'", param_type="argument")
     writer_for(target)
-    demand_output(target, opt.inputs_of(options, *sources), force=force)
+    opt.demand_outputs(options, [target], *sources)
     mapping = opt.mapping_of(options)
     if len(sources) == 1:
         noted = Noted(blocks(sources[0], mapping, strict=strict))
@@ -250,8 +222,6 @@ def convert(
             write_blocks(noted, target)
     for text in noted.notes:
         note(text, options["quiet"])
-    if options["as_json"]:
-        emit_json(Converted(str(target), tuple(noted.channels), tuple(noted.notes)))
-    elif not options["quiet"]:
-        say(f"wrote {target}: {', '.join(noted.channels)}")
+    made = Converted(str(target), tuple(noted.channels), tuple(noted.notes))
+    tell(made, options, f"wrote {target}: {', '.join(noted.channels)}")
     return 0

@@ -1,4 +1,4 @@
-"""imucal array"""
+"""imucal array: Find the positions of the accelerometers of an inertial sensor array."""
 
 from __future__ import annotations
 
@@ -9,18 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.calibrating import (
-    calibrating,
-    calibrating_of,
-    finish,
-    limit_option,
-    shared_fields,
-)
-from imucalib.cli.frame.output import freed_memory, note
+from imucalib.cli.frame.calibrating import calibrating, limit_option, shared_fields
+from imucalib.cli.frame.output import Say, freed_memory
 
 if TYPE_CHECKING:
     from imucalib.calibrators.array.motion.total import Distance
     from imucalib.calibrators.array.request import ArrayRequest
+    from imucalib.report.files import Report
 
 #: Bytes from which an array goes back to the system when it is freed, and that are kept at the end
 #: of all others: what is below 32 MB is kept otherwise, and of many IMUs that was 0.3 GB; with the
@@ -70,7 +65,7 @@ _LARGE, _KEPT = 1 << 22, 1 << 26
 @opt.shortest_rest
 @opt.seed
 @calibrating
-def command(logs: tuple[Path, ...], **options: Any) -> int:
+def command(logs: tuple[Path, ...], say: Say, **options: Any) -> list[Report]:
     """Find the positions of an inertial array's accelerometers from a bench log.
 
     LOGS hold rests in nine or more attitudes and a part in which the board is twisted by hand. With
@@ -91,23 +86,21 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     from imucalib.report.files import Report, write_draws
 
     freed_memory(large=_LARGE, kept=_KEPT)
-    request, mapping, quiet = _request(options, logs), opt.mapping_of(options), options["quiet"]
-    runs = []
+    request, mapping, runs = _request(options, logs), opt.mapping_of(options), []
     for k, log in enumerate(logs):
-        note(f"{log}", quiet)
+        say(f"{log}")
         own = replace(request, agreeing=tuple(one.name for one in logs[:k]))
-        with calibrating_of(options) as say:
-            runs.append(calibrate_array(read(log, mapping), own, say))
+        runs.append(calibrate_array(read(log, mapping), own, say))
         if (path := options["save_draws"]) is not None:
             path = path if len(logs) == 1 else path.with_stem(f"{path.stem}_{log.stem}")
             write_draws(runs[-1], path)
-            note(f"wrote {path}", quiet)
+            say(f"wrote {path}")
     named = zip(runs, logs, strict=True)
     reports = [Report(run, array_document(run), log.stem) for run, log in named]
-    if len(runs) == 1:
-        return finish(reports, options)
-    board = board_run(tuple(runs))
-    return finish(reports, options, Report(board, board_document(board)))
+    if len(runs) > 1:
+        board = board_run(tuple(runs))
+        reports.append(Report(board, board_document(board)))
+    return reports
 
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:

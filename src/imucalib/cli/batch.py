@@ -1,4 +1,7 @@
-"""imucal batch and collect"""
+"""imucal batch: Calibrate a cohort, one recording a task.
+
+imucal collect: Make one table of a cohort's entries.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.output import emit_json, note, progress
+from imucalib.cli.frame.output import note, progress, tell
 from imucalib.data import Data
 from imucalib.question import paste
 
@@ -82,15 +85,13 @@ def command(inputs: tuple[str, ...], jobs: int, **options: Any) -> int:
         options[name] for name in ("output", "calibrator", "resume", "quiet")
     )
     passed, files = _options_of(calibrator, click.get_current_context().meta[_PASSED_ON])
-    found, shard = recordings_of(inputs), _shard_of(options["shard"])
+    (recordings, said), shard = recordings_of(inputs), _shard_of(options["shard"])
     corrected = options["corrected"]
-    tasks = plan(
-        found.recordings, output, calibrator, passed, shard, files=files, corrected=corrected
-    )
+    tasks = plan(recordings, output, calibrator, passed, shard, files=files, corrected=corrected)
     failed: list[Entry] = []
     reused, start = 0, time.monotonic()
     with _workers(options["scheduler"], options["wait"]) as cluster:
-        for line in (*found.said, _what(tasks, cluster, jobs, output, resume)):
+        for line in (*said, _describe_plan(tasks, cluster, jobs, output, resume)):
             note(line, quiet)
         made = run_all(tasks, cluster, jobs, resume=resume, say=lambda text: note(text, quiet))
         with progress(len(tasks), "recordings", quiet) as advance:
@@ -113,7 +114,7 @@ def _shard_of(text: str) -> tuple[int, int]:
     return int(index), int(count)
 
 
-def _what(
+def _describe_plan(
     tasks: tuple[Task, ...], cluster: Cluster | None, jobs: int, folder: Path, resume: bool
 ) -> str:
     """What is about to be done, before the first recording is."""
@@ -153,15 +154,13 @@ def _summarize(
         failed=tuple(Failed(e.recording, e.error) for e in failed),
         seconds=round(seconds, 1),
     )
-    if options["as_json"]:
-        emit_json(summary)
-    elif not options["quiet"]:
-        click.echo(
-            f"{summary.calibrated} of {summary.recordings} calibrated "
-            f"({reused} from before), {len(failed)} failed; entries in {options['output']}"
-        )
-        gather = ("imucal", "collect", options["output"], "-o", "cohort.csv")
-        click.echo(f"the table: {paste(*gather, '--html', 'cohort.html')}")
+    gather = ("imucal", "collect", options["output"], "-o", "cohort.csv", "--html", "cohort.html")
+    words = (
+        f"{summary.calibrated} of {summary.recordings} calibrated "
+        f"({reused} from before), {len(failed)} failed; entries in {options['output']}\n"
+        f"the table: {paste(*gather)}"
+    )
+    tell(summary, options, words)
     return 3 if failed else 0
 
 
@@ -186,7 +185,8 @@ def _options_of(calibrator: str, typed: tuple[str, ...]) -> tuple[tuple[str, ...
             "-o behind -- would be the folder of every recording",
             remedy="leave it out; imucal CALIBRATOR RECORDING -o gives the report of one",
         )
-    return _add_absolute_paths(command, [*from_file(context), *typed])
+    with context:
+        return _add_absolute_paths(command, [*from_file(), *typed])
 
 
 def _add_absolute_paths(
@@ -303,7 +303,6 @@ def collect(folder: Path, output: Path, **options: Any) -> int:
     \b
     Example: imucal collect entries -o cohort.csv --html cohort.html
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_whole
     from imucalib.cohort.entries import PAPER, cohort_of, rows, write_table
     from imucalib.errors import UnreadableInput
@@ -316,8 +315,7 @@ def collect(folder: Path, output: Path, **options: Any) -> int:
     html, ggir, quiet = (options[name] for name in ("html", "ggir", "quiet"))
     paths = sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime)
     targets = [path for path in (output, html, ggir) if path is not None]
-    for target in targets:
-        demand_output(target, paths, force=options["force"])
+    opt.demand_outputs(options, targets, *paths)
     cohort = cohort_of(paths)
     if not cohort.newest:
         raise UnreadableInput(

@@ -1,4 +1,7 @@
-"""imucal check and validate"""
+"""imucal check: Say whether a calibration is still good, from a few rests or positions.
+
+imucal validate: Check a calibration file.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import click
 
 from imucalib.cli.frame import options as opt
 from imucalib.cli.frame.calibrating import command_line
-from imucalib.cli.frame.output import emit_json, present, working
+from imucalib.cli.frame.output import present, tell, working
 from imucalib.data import Data
 
 if TYPE_CHECKING:
@@ -49,11 +52,8 @@ if TYPE_CHECKING:
 @opt.path("--html", "Also write the report as a page.")
 @opt.shortest_rest
 @opt.gravity
-@opt.force
 @opt.recording
-@opt.full
-@opt.json
-@opt.quiet
+@opt.page_options
 def command(calibration: Path, log: Path, **options: Any) -> int:
     """Say whether a calibration is still good, from a few rests or positions.
 
@@ -66,19 +66,15 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
       imucal check out/calibration.yaml four_rests.csv --limit 2mg
       imucal check out/calibration.yaml log.mcap --html check.html
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.check import check
     from imucalib.calibration.checking.noise import check_noise, limits_of, sessions_of, size_of
     from imucalib.report.check import check_dict, check_document
-    from imucalib.report.files import shown_dict
+    from imucalib.report.files import page_dict
     from imucalib.units import MG
 
-    page = options["html"]
-    if page is not None:
-        demand_output(page, opt.inputs_of(options, calibration, log), force=options["force"])
+    opt.demand_outputs(options, [], calibration, log)
     limits = limits_of(options["limits"])
-    insisted = options["same_device"]
-    loaded = opt.calibration_of(calibration, options["effects_file"], same_device=insisted)
+    loaded = opt.calibration_of(calibration, options)
     reading = options["noise"] and MG * size_of(options["noise"], ("mg",))[0]
     session = sessions_of(options["between_sessions"])
     noise = check_noise(loaded, reading=reading, session=session)
@@ -89,7 +85,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         found = check(loaded, measured, noise, limits, notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
     document = check_document(found, log, calibration, command_line())
-    present(document, {**content, **shown_dict(document)}, options, page)
+    present(document, {**content, **page_dict(document)}, options)
     return found.exit_code
 
 
@@ -132,17 +128,15 @@ class Validated(Data, name="validate/1"):
 @click.argument("file", type=opt.PATH)
 @opt.json
 @opt.quiet
-def validate(file: Path, as_json: bool, quiet: bool) -> int:
+def validate(file: Path, **options: Any) -> int:
     """Check that a calibration file is whole, known to this version, and can be applied.
 
     \b
     Example: imucal validate out/calibration.yaml
     """
-    found = opt.calibration_of(file, None)
+    found = opt.calibration_of(file, options)
     count = len(found.parameters)
-    if as_json:
-        emit_json(Validated(str(file), True, found.status, count))
-    elif not quiet:
-        what = f"valid {found.calibrator} calibration, status {found.status}"
-        click.echo(f"{file}: {what}, {count} parameters")
+    what = f"valid {found.calibrator} calibration, status {found.status}"
+    made = Validated(str(file), True, found.status, count)
+    tell(made, options, f"{file}: {what}, {count} parameters")
     return 0

@@ -1,4 +1,4 @@
-"""imucal compare"""
+"""imucal compare: Compare calibrations: do they differ, what it means, how they drift."""
 
 from __future__ import annotations
 
@@ -35,10 +35,7 @@ from imucalib.cli.frame.output import present
     "--effects effects_file", "Python file with effects of your own that the calibrations use."
 )
 @opt.path("--html", "Also write the report as a page, with its control chart.")
-@opt.force
-@opt.full
-@opt.json
-@opt.quiet
+@opt.page_options
 def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     """Say whether calibrations of one sensor differ, what that means, and how they drift.
 
@@ -49,22 +46,19 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
       imucal compare spring/calibration.yaml autumn/calibration.yaml --limit 2mg
       imucal compare 20*/calibration.yaml --html chart.html
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.noise import limits_of, sessions_of
     from imucalib.calibration.comparison.compare import compare
     from imucalib.report.comparison import comparison_dict, comparison_document
-    from imucalib.report.files import shown_dict
+    from imucalib.report.files import page_dict
 
-    page, dates = options["html"], options["dates"]
-    if page is not None:
-        demand_output(page, calibrations, force=options["force"])
+    opt.demand_outputs(options, [], *calibrations)
     wanted = limits_of(options["limits"])
-    loaded = [opt.calibration_of(path, options["effects_file"]) for path in calibrations]
-    dated = dates.split(",") if dates else ()
+    loaded = [opt.calibration_of(path, options) for path in calibrations]
+    dated = options["dates"].split(",") if options["dates"] else ()
     sessions = sessions_of(options["between"])
     found = compare(loaded, _names(calibrations), wanted, dated, sessions)
     document = comparison_document(found, calibrations, command_line())
-    present(document, {**comparison_dict(found), **shown_dict(document)}, options, page)
+    present(document, {**comparison_dict(found), **page_dict(document)}, options)
     return found.exit_code
 
 

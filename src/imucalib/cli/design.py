@@ -1,4 +1,4 @@
-"""imucal design"""
+"""imucal design: Judge a set of positions, and say which added ones help most."""
 
 from __future__ import annotations
 
@@ -40,10 +40,7 @@ from imucalib.cli.frame.output import note, present, working
     metavar="SIZE",
 )
 @opt.file("-o --output", "Write the positions as a table (CSV) for `design` and `lab`.")
-@opt.force
-@opt.full
-@opt.json
-@opt.quiet
+@opt.page_options
 def command(table: Path | None, count: int | None, **options: Any) -> int:
     """How good is a set of positions, and which one or two more would help most.
 
@@ -94,17 +91,18 @@ def _positions(table: Path | None, count: int | None, options: dict[str, Any]) -
 
 def _separation(path: Path, options: dict[str, Any]) -> int:
     """What to record next beside a calibration; the exit code."""
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.noise import size_of
     from imucalib.calibrators.next_recording import next_recording
     from imucalib.report.design import separation_dict, separation_document
 
-    if options["output"] is not None:
-        demand_output(options["output"], [path], force=options["force"])
+    opt.demand_outputs(options, [options["output"]], path)
     size = options["between_sessions"]
     between = 0.0 if size is None else size_of(size, ("mg",))[0]
+    held = options["temperatures"]
+    if held is not None:
+        held = opt.numbers_of(held, "--temperatures", "of the form LOW,HIGH in degC", {2}, -100.0)
     with working("planning", quiet=options["quiet"]):
-        found = next_recording(path, _temperatures(options["temperatures"]), between)
+        found = next_recording(path, held or (), between)
     _write_table(found.table, [path], options)
     present(separation_document(found, path.name), separation_dict(found), options)
     return found.exit_code
@@ -128,27 +126,13 @@ def _refuse(options: dict[str, Any], why: str, *names: str) -> None:
             raise click.UsageError(f"--{name.replace('_', '-')} {why}")
 
 
-def _temperatures(text: str | None) -> tuple[float, ...]:
-    if text is None:
-        return ()
-    try:
-        found = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        found = ()
-    if len(found) != 2 or not -100.0 < found[0] < found[1] < 200.0:
-        said = f"'{text}' is not of the form LOW,HIGH in degC"
-        raise click.BadParameter(said, param_hint="--temperatures")
-    return found
-
-
 def _write_table(text: str, read: list[Path], options: dict[str, Any]) -> None:
     """The table that was asked for, whole or not at all, over another's only with --force."""
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_whole
 
     path = options["output"]
     if path is None or not text:
         return
-    demand_output(path, read, force=options["force"])
+    opt.demand_outputs(options, [path], *read)
     write_whole(path, text)
     note(f"wrote {path}", options["quiet"])

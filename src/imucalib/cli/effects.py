@@ -1,4 +1,4 @@
-"""imucal effects"""
+"""imucal effects: List the catalogue of effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""imucal export"""
+"""imucal export: Write a calibration's coefficients for another program."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ from imucalib.data import Data
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
     from imucalib.exports import Made
+
+
+#: Below any sensor's, in SI.
+_LEAST_WALK = 1e-12
 
 
 class Exported(Data, name="export/1"):
@@ -60,9 +64,7 @@ class Exported(Data, name="export/1"):
     "what makes the form no better than the raw reading.",
     metavar="MG[,DPS]",
 )
-@opt.force
-@opt.json
-@opt.quiet
+@opt.line_options
 def command(calibration: Path, form: str, output: Path | None, **options: Any) -> int:
     """Write a calibration's coefficients in the form of another program.
 
@@ -75,24 +77,22 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
       imucal export out/calibration.yaml --to c-header -o calibration.h
       imucal export out/calibration.yaml --to kalibr --noise imu.yaml -o imus.yaml
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_together
     from imucalib.exports import export
     from imucalib.exports.bound import demand_carried
 
-    bounds, force = _bounds(options["largest_loss"]), options["force"]
-    if output is not None:
-        read = (calibration, options["noise"], options["effects_file"])
-        demand_output(output, filter(None, read), force=force)
-    loaded = _with_stated(opt.calibration_of(calibration, options["effects_file"]), form, options)
+    bounds: tuple[float | None, ...] = (None,)
+    if (text := options["largest_loss"]) is not None:
+        written = "MG or MG,DPS: a force in mg, a rate in deg/s, zero or more"
+        bounds = opt.numbers_of(text, "--largest-loss", written, {1, 2}, 0.0)
+    opt.demand_outputs(options, [output], calibration)
+    loaded = _apply_stated(opt.calibration_of(calibration, options), form, options)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
     made = export(loaded, source, form)
-    if not force:
+    if not options["force"]:
         demand_carried(made, form, loaded, *bounds)
     files = _files(made, output)
-    for path in files:
-        if path != output:
-            demand_output(path, (), force=force)
+    opt.demand_outputs(options, (path for path in files if path != output))
     write_together(files)
     for text in made.lost:
         note(f"{form} lacks {text}", options["quiet"])
@@ -113,10 +113,10 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
     return 0
 
 
-def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Calibration:
+def _apply_stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Calibration:
     """With the noise and the ids that are stated beside it; raises click's usage errors."""
     from imucalib.exports.flight.parameters import FLIGHT, state_ids
-    from imucalib.exports.imus import with_noise, with_walks
+    from imucalib.exports.imus import state_noise, state_walks
     from imucalib.recording.identity import NAMELESS
     from imucalib.recording.pairing import fault
 
@@ -126,13 +126,11 @@ def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -
         own = calibration.sensor or NAMELESS
         calibration = replace(calibration, sensor=replace(own, name=options["name"]))
     if options["noise"] is not None:
-        calibration = with_noise(calibration, options["noise"])
+        calibration = state_noise(calibration, options["noise"])
     if (walks := options["random_walk"]) != "limit":
-        said = "give limit, or ACC,GYRO in m/s3/sqrt(Hz), rad/s2/sqrt(Hz)"
-        values = _numbers(walks)
-        if len(values) != 2 or min(values) <= 0.0:
-            raise click.BadParameter(said, param_hint="--random-walk")
-        calibration = with_walks(calibration, *values)
+        written = "limit, or ACC,GYRO in m/s3/sqrt(Hz), rad/s2/sqrt(Hz)"
+        values = opt.numbers_of(walks, "--random-walk", written, {2}, _LEAST_WALK)
+        calibration = state_walks(calibration, *values)
     if (ids := options["device_id"]) is None:
         return calibration
     if form not in FLIGHT:
@@ -142,26 +140,6 @@ def _with_stated(calibration: Calibration, form: str, options: dict[str, Any]) -
         said = "give the accelerometer's id, or ACC,GYRO: whole numbers"
         raise click.BadParameter(said, param_hint="--device-id")
     return state_ids(calibration, tuple(int(word) for word in words))
-
-
-def _numbers(text: str) -> list[float]:
-    """Numbers with commas between them; none where one of them is no number of zero or more."""
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        return []
-    return found if all(value >= 0.0 for value in found) else []
-
-
-def _bounds(text: str | None) -> tuple[float | None, float | None]:
-    """mg and deg/s, None where it is not stated; raises click's usage error."""
-    if text is None:
-        return None, None
-    values = _numbers(text)
-    if not 1 <= len(values) <= 2:
-        said = "give MG or MG,DPS: a force in mg, a rate in deg/s, zero or more"
-        raise click.BadParameter(said, param_hint="--largest-loss")
-    return values[0], values[1] if len(values) == 2 else None
 
 
 def _files(made: Made, output: Path | None) -> dict[Path, str]:

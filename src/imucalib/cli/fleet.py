@@ -1,4 +1,4 @@
-"""imucal fleet"""
+"""imucal fleet: Calibrate devices of one kind together."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ from imucalib.question import paste
 if TYPE_CHECKING:
     from imucalib.cohort.fleet.outcome import Fleet
     from imucalib.report.render.document import Document
+
+#: What holds for all inputs; other options are read with tables.
+_OF_ALL = "inputs output only without devices full force as_json verbose quiet"
 
 
 @opt.command_with_page("fleet")
@@ -55,7 +58,7 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
       imucal fleet sample_logs/cave_*.csv --reference norm -o fleet
       imucal fleet entries --devices cohort.csv -o fleet
     """
-    from imucalib.report.files import shown_dict
+    from imucalib.report.files import page_dict
     from imucalib.report.fleet import fleet_dict, fleet_document
 
     folder, quiet = options["output"], options["quiet"]
@@ -65,10 +68,10 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
         fleet = _fleet(inputs, options, say)
     document = fleet_document(fleet)
     if folder is None:
-        document = document.unwritten(f"{fleet.settings.command} -o fleet")
+        document = document.propose_writing(f"{fleet.command} -o fleet")
     else:
-        document = document.placed({"folder": paste(folder)})
-    content = {"schema": "imucal/fleet/1", **fleet_dict(fleet), **shown_dict(document)}
+        document = document.place_commands({"folder": paste(folder)})
+    content = {"schema": "imucal/fleet/1", **fleet_dict(fleet), **page_dict(document)}
     if folder is not None:
         _write(fleet, document, content, folder, quiet)
     present(document, content, options)
@@ -105,15 +108,11 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
         lsb_per_g=opt.one_scale(options["lsb"]),
         gravity=gravity,
         gravity_source=source,
-        exclude=opt.numbers(options["exclude"], "--exclude"),
+        exclude=opt.row_numbers(options["exclude"], "--exclude"),
         still=opt.still_of(options),
         command=command_line(),
     )
     return run_fleet(files, request, say)
-
-
-#: What holds for all inputs; other options are read with tables.
-_OF_ALL = "inputs output only without devices full force as_json verbose quiet"
 
 
 def _demand_usable() -> None:
@@ -152,12 +151,9 @@ def _write(
     from imucalib.report.render.html import render_html
 
     made = {
-        folder / m.name / (r.name if len(m.recordings) > 1 else "") / "calibration.yaml": to_yaml(
-            r.calibration
-        )
+        folder / m.folder_of(r) / "calibration.yaml": to_yaml(r.calibration)
         for m in fleet.members
         for r in m.recordings
-        if r.calibration is not None
     }
     texts = {
         folder / "report.html": render_html(document),
@@ -166,6 +162,6 @@ def _write(
         **made,
     }
     write_together(texts)
-    next_ = f"imucal {fleet.settings.calibrator} --fleet"
+    next_ = f"imucal {fleet.calibrator} --fleet"
     more = f", fleet.yaml for the next device ({next_})" if fleet.following else ""
     note(f"wrote {folder}: report.html, report.json, {len(made)} calibrations{more}", quiet)

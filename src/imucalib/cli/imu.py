@@ -1,4 +1,4 @@
-"""imucal imu"""
+"""imucal imu: Calibrate one IMU, accelerometer and gyroscope, from rests and turns."""
 
 from __future__ import annotations
 
@@ -9,16 +9,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.calibrating import (
-    calibrating,
-    calibrating_of,
-    finish,
-    limit_option,
-    shared_fields,
-)
+from imucalib.cli.frame.calibrating import calibrating, limit_option, shared_fields
+from imucalib.cli.frame.output import Say
 
 if TYPE_CHECKING:
     from imucalib.recording.mapping import FieldMapping
+    from imucalib.report.files import Report
 
 
 @opt.command_with_page("imu")
@@ -32,7 +28,7 @@ if TYPE_CHECKING:
 @limit_option("--max-force-error", "held-out error of |a|, mg rms.")
 @opt.shortest_rest
 @calibrating
-def command(recordings: tuple[Path, ...], **options: Any) -> int:
+def command(recordings: tuple[Path, ...], say: Say, **options: Any) -> list[Report]:
     """Calibrate accelerometer and gyroscope of one IMU from rests and the turns between them.
 
     RECORDING is a log in which the IMU rests for two seconds in ten attitudes or more and is turned
@@ -56,14 +52,13 @@ def command(recordings: tuple[Path, ...], **options: Any) -> int:
     axes = parse_axis_map(options["gyro_axes"])
     request = ImuRequest(**shared_fields(options), gyro_axes=axes, still=opt.still_of(options))
     mapping, reports = opt.mapping_of(options), []
-    with calibrating_of(options) as say:
-        for sensor in _each(recordings[0], mapping):
-            run = run_imu(recordings, replace(mapping, sensor=sensor), request, say)
-            reports.append(Report(run, imu_document(run), sensor))
-    return finish(reports, options)
+    for sensor in _list_sensors(recordings[0], mapping):
+        run = run_imu(recordings, replace(mapping, sensor=sensor), request, say)
+        reports.append(Report(run, imu_document(run), sensor))
+    return reports
 
 
-def _each(recording: Path, mapping: FieldMapping) -> tuple[str, ...]:
+def _list_sensors(recording: Path, mapping: FieldMapping) -> tuple[str, ...]:
     """The sensor that is named, or every one of the recording."""
     from imucalib.readers import blocks
     from imucalib.recording.sensors import ALL, accelerometers

@@ -1,4 +1,4 @@
-"""imucal inspect"""
+"""imucal inspect: Say what a file holds and how it would be read; also `imucal FILE`."""
 
 from __future__ import annotations
 
@@ -22,11 +22,8 @@ if TYPE_CHECKING:
 @opt.path("--html", "Also write all of it as a page, with plots.")
 @opt.shortest_rest
 @opt.flag("--strict", "Refuse a damaged recording instead of reading what is left.")
-@opt.force
 @opt.recording
-@opt.full
-@opt.json
-@opt.quiet
+@opt.page_options
 def command(file: Path, **options: Any) -> int:
     """Say what a recording or a table of positions holds, what is wrong with it, and what to type.
 
@@ -38,18 +35,16 @@ def command(file: Path, **options: Any) -> int:
       imucal inspect log.mcap --save-mapping mapping.yaml
       imucal inspect log.mcap --rests --html rests.html
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.inspection.inspection import inspect_recording
     from imucalib.readers import blocks
     from imucalib.recording.mapping import from_dict, save_mapping
     from imucalib.report.inspection import describe_recording, inspection_document
 
-    mapping_file, page = options["save_mapping"], options["html"]
-    for output in filter(None, (mapping_file, page)):
-        demand_output(output, opt.inputs_of(options, file), force=options["force"])
+    mapping_file = options["save_mapping"]
+    opt.demand_outputs(options, [mapping_file], file)
     typed, rests = opt.repeat_typed(file), options["rests"]
     if not (mapping_file or rests) and (seen := _no_recording(file, typed, options)):
-        present(*seen, options, page)
+        present(*seen, options)
         return 0
     settings, mapping, strict = opt.still_of(options), opt.mapping_of(options), options["strict"]
     with working("reading", quiet=options["quiet"]):
@@ -58,7 +53,7 @@ def command(file: Path, **options: Any) -> int:
         save_mapping(from_dict(found.mapping), mapping_file)
         note(f"wrote {mapping_file}", options["quiet"])
     document = inspection_document(found, typed, rests=rests)
-    present(document, describe_recording(found, typed, rests=rests), options, page)
+    present(document, describe_recording(found, typed, rests=rests), options)
     return 0
 
 

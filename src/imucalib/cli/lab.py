@@ -1,24 +1,20 @@
-"""imucal lab"""
+"""imucal lab: Calibrate a tool's accelerometer on a bench of known angles, or by gravity alone."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.calibrating import (
-    calibrating,
-    calibrating_of,
-    finish,
-    limit_option,
-    shared_fields,
-)
-from imucalib.cli.frame.output import freed_memory
+from imucalib.cli.frame.calibrating import calibrating, limit_option, shared_fields
+from imucalib.cli.frame.output import Say, freed_memory
 
 if TYPE_CHECKING:
     from imucalib.calibrators.lab.request import LabRequest
+    from imucalib.report.files import Report
 
 #: Bytes: a search takes the same few arrays again and again, and of hundreds of rows a quarter of
 #: its time went into pages that the system clears anew for each.
@@ -111,7 +107,7 @@ _CONVENTIONS = (
 @limit_option("--max-norm-error", "held-out error of |a|, mg rms.")
 @opt.shortest_rest
 @calibrating
-def command(tables: tuple[Path, ...], **options: Any) -> int:
+def command(tables: tuple[Path, ...], say: Say, **options: Any) -> list[Report]:
     """Calibrate a tool's accelerometer on a bench with known tool-face and inclination.
 
     TABLE is a CSV or HDF5 file with one row a position. Several are power-ups of one sensor, as is
@@ -132,9 +128,8 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
     freed_memory(large=_KEPT, kept=_KEPT)
     columns, mapping = opt.pairs(options["columns"], "--columns"), opt.mapping_of(options)
     files = LabFiles(tables[0], options["recording"], columns, mapping, others=tables[1:])
-    with calibrating_of(options) as say:
-        run = calibrate_files(files, request_of(options), say)
-    return finish([Report(run, lab_document(run))], options)
+    run = calibrate_files(files, request_of(options), say)
+    return [Report(run, lab_document(run))]
 
 
 def request_of(options: dict[str, Any]) -> LabRequest:
@@ -156,41 +151,32 @@ def request_of(options: dict[str, Any]) -> LabRequest:
         conventions=replace(preset(options["convention"]), **stated),
         fixes=tuple(fix for text in options["fixes"] for fix in _fixes(text)),
         repairs=repairs_of(*repairs),
-        exclude=opt.numbers(options["exclude"], "--exclude"),
-        train=opt.numbers(options["train"], "--train"),
-        trust=opt.numbers(options["trust"], "--trust"),
+        exclude=opt.row_numbers(options["exclude"], "--exclude"),
+        train=opt.row_numbers(options["train"], "--train"),
+        trust=opt.row_numbers(options["trust"], "--trust"),
         still=opt.still_of(options),
         sigma=None if options["sigma"] is None else options["sigma"] * MG,
         population=opt.population_of(
-            options,
-            {"as_published": False, "objective": "settings"},
-            options["reference"],
-            f"this device with {options['reference']}",
-            "give --reference {other}, or a fleet of that reference",
+            options, options["reference"], as_published=False, objective="settings"
         ),
     )
     return as_published(request) if options["as_published"] else request
 
 
-def _face(value: str) -> dict[str, float]:
-    """The columns that stand for a face such as +x or -z."""
-    sign, axis = value.strip()[:1], value.strip()[1:]
-    if sign not in ("+", "-") or axis not in ("x", "y", "z"):
-        raise ValueError
-    return {f"u{a}": float(f"{sign}1") if a == axis else 0.0 for a in "xyz"}
-
-
 def _fixes(text: str) -> list[tuple[int, str, float]]:
-    rows, colon, cell = text.partition(":")
-    role, sign, value = cell.partition("=")
+    """(row, column, value) of each cell that is repaired; the columns that stand for a face such as
+    +x or -z are repaired together."""
+    found = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?:\s*([^=]*?)\s*=\s*(.*?)\s*", text)
     try:
-        if not colon or not sign:
+        if found is None:
             raise ValueError
-        first, _, last = rows.partition("-")
-        every = range(int(first), int(last or first) + 1)
-        if not every:
+        first, last, role, value = found.groups()
+        every, face = range(int(first), int(last or first) + 1), re.fullmatch("[+-][xyz]", value)
+        if not every or (role == "face" and not face):
             raise ValueError
-        cells = _face(value) if role.strip() == "face" else {role.strip(): float(value)}
+        cells = {role: float(value)} if role != "face" else {}
+        if role == "face":
+            cells = {f"u{a}": float(f"{value[0]}1") if a == value[1] else 0.0 for a in "xyz"}
         return [(row, name, number) for row in every for name, number in cells.items()]
     except ValueError:
         said = (

@@ -1,4 +1,4 @@
-"""imucal noise"""
+"""imucal noise: Say how noisy sensors are at rest, and write it for Kalibr, VINS and others."""
 
 from __future__ import annotations
 
@@ -26,11 +26,8 @@ def _forms() -> tuple[str, ...]:
 @opt.path("--html", "Also write all of it as a page, with the Allan deviations drawn.")
 @opt.shortest_rest
 @opt.strict
-@opt.force
 @opt.recording
-@opt.full
-@opt.json
-@opt.quiet
+@opt.page_options
 def command(recording: Path, form: str | None, output: Path | None, **options: Any) -> int:
     """Say how noisy sensors are at rest, in the units that people use, and write it for others.
 
@@ -42,7 +39,6 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
       imucal noise still_night.mcap --html noise.html
       imucal noise still_night.mcap --to kalibr -o imu.yaml
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import write_whole
     from imucalib.errors import Undetermined
     from imucalib.exports.noise import noise_text
@@ -53,9 +49,7 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
 
     if output is not None and form is None:
         raise click.UsageError("--output is the file of a form: name it with --to")
-    page, force = options["html"], options["force"]
-    for written in filter(None, (output, page)):
-        demand_output(written, opt.inputs_of(options, recording), force=force)
+    opt.demand_outputs(options, [output], recording)
     settings, mapping, strict = opt.still_of(options), opt.mapping_of(options), options["strict"]
     with working("reading", quiet=options["quiet"]):
         still = find_segments(blocks(recording, mapping, strict=strict), settings)
@@ -75,5 +69,5 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
         write_whole(output, text)
         note(f"wrote {output}", options["quiet"])
     document = noise_document(str(recording), noise, opt.repeat_typed(recording))
-    present(document, describe_noise(str(recording), noise), options, page)
+    present(document, describe_noise(str(recording), noise), options)
     return 0

@@ -1,4 +1,4 @@
-"""imucal simulate: tables and recordings that never were, a command a calibrator."""
+"""imucal simulate: Make a table or recording with planted effects and faults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from imucalib.cli.frame import options as opt
-from imucalib.cli.frame.output import emit_json, working
+from imucalib.cli.frame.output import tell, working
 from imucalib.data import Data
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _FAULT = opt.many(
     "FAULT",
     "gap@START:LENGTH, freeze@START:LENGTH (s), sign@SENSOR:AXIS, clip@G, exchange@SENSOR:SENSOR.",
 )
-_LAST = opt.combine([opt.seed, opt.force, opt.json, opt.quiet])
+_LAST = opt.combine([opt.seed, opt.line_options])
 _RATE = opt.option("--rate", "Samples a second.", default=100.0)
 
 
@@ -63,7 +63,7 @@ def actigraph(recording: Path, seed: int, **options: Any) -> int:
 
     if not (options["days"] > 0.0 and options["rate"] > 0.0):
         raise UsageError("--days and --rate are positive")
-    _demand_outputs([recording], force=options["force"])
+    _demand_outputs(options, [recording])
     plant = _parse_planted(options["plant"])
     names = ("days", "rests", "noise", "rate", "temperature")
     plan = WeekPlan(**{name: options[name] for name in names}, plant=plant)
@@ -101,7 +101,7 @@ def array(recording: Path, seed: int, **options: Any) -> int:
     from imucalib.errors import UsageError
     from imucalib.units import MG
 
-    _demand_outputs([recording], [Path(options["board"])], force=options["force"])
+    _demand_outputs(options, [recording], Path(options["board"]))
     plant = _parse_planted(options["plant"])
     if any(len(values) != 1 for values in plant.values()):
         raise UsageError("--plant of an array takes one value each")
@@ -148,7 +148,7 @@ def imu(recording: Path, seed: int, **options: Any) -> int:
 
     from imucalib.calibrators.imu.simulation import ImuPlan, simulate_imu
 
-    _demand_outputs([recording], force=options["force"])
+    _demand_outputs(options, [recording])
     plant = _parse_planted(options["plant"])
     names = ("rests", "rate", "noise", "gyro_noise", "late")
     plan = ImuPlan(**{name: options[name] for name in names}, planted=plant)
@@ -192,14 +192,14 @@ def lab(table: Path, recording: Path | None, seed: int, **options: Any) -> int:
     if options["fault"] and recording is None:
         raise UsageError("--fault is of a recording", remedy="give --recording, or --slip")
     written = [table, *filter(None, [recording])]
-    _demand_outputs(written, force=options["force"])
+    _demand_outputs(options, written)
     warming = options["temperature"]
     plan = BenchPlan(
         **{name: options[name] for name in ("layout", "positions", "noise", "gravity")},
         plant=_parse_planted(options["plant"]),
-        setting=_two(options["setting_sd"], "--setting-sd"),
+        setting=_two_of(options["setting_sd"], "--setting-sd"),
         slips=tuple((int(r), a) for r, _, a in (s.partition(":") for s in options["slip"])),
-        temperature=_two(warming, "--temperature") if warming else None,
+        temperature=_two_of(warming, "--temperature") if warming else None,
     )
     rng = np.random.default_rng(seed)
     made = simulate_table(plan, rng)
@@ -213,36 +213,25 @@ for one in (actigraph, array, imu, lab):
     command.add_command(one)
 
 
-def _two(text: str, option: str) -> tuple[float, float]:
-    try:
-        a, b = (float(v) for v in text.split(","))
-    except ValueError:
-        raise click.BadParameter(f"'{text}' is not two numbers", param_hint=option) from None
+def _two_of(text: str, option: str) -> tuple[float, float]:
+    a, b = opt.numbers_of(text, option, "two numbers", {2})
     return a, b
 
 
 def _parse_planted(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
     """ "bias=1,2,3" by name; raises click's usage error."""
-    found = {}
-    for text in texts:
-        name, _, values = text.partition("=")
-        try:
-            found[name] = tuple(float(v) for v in values.split(","))
-        except ValueError:
-            said = f"'{text}' is not EFFECT=VALUE,..."
-            raise click.BadParameter(said, param_hint="--plant") from None
-    return found
+    each = (text.partition("=") for text in texts)
+    form, counts = "the numbers of EFFECT=VALUE,...", range(1, 1000)
+    return {name: opt.numbers_of(v, "--plant", form, counts) for name, _, v in each}
 
 
-def _demand_outputs(paths: Sequence[Path], inputs: Sequence[Path] = (), *, force: bool) -> None:
+def _demand_outputs(options: Mapping[str, Any], paths: Sequence[Path], *read: Path) -> None:
     """Raise UsageError unless a simulation may write to each of the paths, two at the most."""
-    from imucalib.atomic_file import demand_output
     from imucalib.errors import UsageError
 
     if len({path.absolute() for path in paths}) < len(paths):
         raise UsageError("the table and the recording are one file", where=str(paths[0]))
-    for path in paths:
-        demand_output(path, inputs, force=force)
+    opt.demand_outputs(options, paths, *read)
 
 
 def _write(made: Recording, path: Path, faults: Sequence[str]) -> None:
@@ -271,9 +260,7 @@ def _finish(
     **truth: Any,
 ) -> int:
     """Say what was written and planted, to people or machines; returns the exit code."""
-    if options["as_json"]:
-        faults = tuple(options["fault"]) or None
-        emit_json(Simulated(tuple(map(str, written)), plant, faults, **truth))
-    elif not options["quiet"]:
-        click.echo("\n".join(f"wrote {path}" for path in written))
+    faults = tuple(options["fault"]) or None
+    made = Simulated(tuple(map(str, written)), plant, faults, **truth)
+    tell(made, options, "\n".join(f"wrote {path}" for path in written))
     return 0

@@ -27,6 +27,10 @@ from imucalib.file_hash import sha256_of
 
 #: Formats that a corrected recording keeps; others become a table.
 _KEPT = (".h5", ".hdf5", ".mcap")
+#: The worker of a thread.
+_OWN = threading.local()
+#: s between two looks at the workers.
+_LOOK = 2.0
 
 
 @dataclass(frozen=True)
@@ -146,22 +150,39 @@ def _run(task: Task, words: Sequence[str]) -> tuple[int, str]:
     return worker.run(words, Path(task.entry).parent)
 
 
-#: The worker of a thread.
-_OWN = threading.local()
-
-
-@dataclass(frozen=True)
+@dataclass
 class Cluster:
     """Workers elsewhere.
 
-    executor : where tasks are run; workers : how many there are, which may raise OSError
-    address : of their scheduler; patience : s that a run without a worker waits for one
+    executor : where tasks are run
+    workers : how many there are, which may raise OSError
+    address : of their scheduler
+    patience : s that a run without a worker waits for one
+    alone : when it was first seen without one
     """
 
     executor: Executor
     workers: Callable[[], int]
     address: str
     patience: float
+    alone: float | None = None
+
+    def why_given_up(self, say: Callable[[str], None]) -> str:
+        """Why nothing more will come, or empty. say : is given a line where no worker is there"""
+        try:
+            count, lost, start = self.workers(), "no worker", f"dask worker {self.address}"
+        except OSError:
+            count, lost, start = 0, "no scheduler", "dask scheduler"
+        if count:
+            self.alone = None
+            return ""
+        if self.alone is None:
+            self.alone = time.monotonic()
+            wait = f"waits {self.patience:g} s: --wait"
+            say(f"{lost} at {self.address}; start one: {start} ({wait})")
+        if time.monotonic() - self.alone < self.patience:
+            return ""
+        return f"{lost} was left at {self.address}. Start one and run the same command again"
 
 
 def run_all(
@@ -179,17 +200,16 @@ def run_all(
     """
     # A local thread waits for one process.
     pool = ThreadPoolExecutor(max(jobs, 1)) if cluster is None else cluster.executor
-    watch = None if cluster is None else _Watch(cluster, say)
     futures: dict[Future[Entry], Task] = {
         pool.submit(run_task, task, resume=resume): task for task in tasks
     }
     waiting = set(futures)
     try:
         while waiting:
-            done, waiting = wait(waiting, _LOOK if watch else None, FIRST_COMPLETED)
+            done, waiting = wait(waiting, _LOOK if cluster else None, FIRST_COMPLETED)
             for future in done:
                 yield _ended(future, futures.pop(future))
-            if watch and waiting and (why := watch.given_up()):
+            if cluster and waiting and (why := cluster.why_given_up(say)):
                 for future in waiting:
                     future.cancel()
                     yield _lost(futures[future], why)
@@ -197,36 +217,6 @@ def run_all(
     finally:
         if cluster is None:
             pool.shutdown(wait=False, cancel_futures=True)  # else a stopped run does all the rest
-
-
-#: s between two looks at the workers.
-_LOOK = 2.0
-
-
-class _Watch:
-    """Whether there is a worker, and for how long there has been none."""
-
-    def __init__(self, cluster: Cluster, say: Callable[[str], None]) -> None:
-        self._cluster, self._say = cluster, say
-        self._alone: float | None = None
-
-    def given_up(self) -> str:
-        """Why nothing more will come, or empty."""
-        known = self._cluster
-        try:
-            count, lost, start = known.workers(), "no worker", f"dask worker {known.address}"
-        except OSError:
-            count, lost, start = 0, "no scheduler", "dask scheduler"
-        if count:
-            self._alone = None
-            return ""
-        if self._alone is None:
-            self._alone = time.monotonic()
-            wait = f"waits {known.patience:g} s: --wait"
-            self._say(f"{lost} at {known.address}; start one: {start} ({wait})")
-        if time.monotonic() - self._alone < known.patience:
-            return ""
-        return f"{lost} was left at {known.address}. Start one and run the same command again"
 
 
 def _ended(future: Future[Entry], task: Task) -> Entry:

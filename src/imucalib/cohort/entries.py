@@ -24,6 +24,24 @@ from imucalib.recording.pairing import cell
 
 #: What a recording without a report is, by the command's exit code.
 _FAILED = {3: "unreadable", 4: "undetermined"}
+#: Columns that a paper has of its recordings, of all that `rows` knows.
+PAPER = (
+    "recording",
+    "use",
+    "why",
+    "serial",
+    "hours_worn",
+    "posture_runs",
+    "effects_added",
+    "error_before",
+    "error_after",
+    "norm_sd_largest_mg",
+    "enmo_before_mg",
+    "enmo_after_mg",
+)
+#: What the calibration is good for, by the status of its run.
+_USE = {"ok": "use", "marginal": "care"}
+_NO_USE = "do not"
 
 
 @dataclass(frozen=True)
@@ -76,26 +94,6 @@ def write_entry(entry: Entry, path: Path, calibration: Calibration | None = None
 def calibration_beside(entry: Path) -> Path:
     """Where the calibration of an entry is."""
     return entry.with_suffix(".yaml")
-
-
-#: Columns that a paper has of its recordings, of all that `rows` knows.
-PAPER = (
-    "recording",
-    "use",
-    "why",
-    "serial",
-    "hours_worn",
-    "posture_runs",
-    "effects_added",
-    "error_before",
-    "error_after",
-    "norm_sd_largest_mg",
-    "enmo_before_mg",
-    "enmo_after_mg",
-)
-#: What the calibration is good for, by the status of its run.
-_USE = {"ok": "use", "marginal": "care"}
-_NO_USE = "do not"
 
 
 def entry_of(

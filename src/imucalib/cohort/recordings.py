@@ -6,7 +6,6 @@ import csv
 import glob
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from imucalib.errors import ImucalError, UnreadableInput
@@ -17,18 +16,10 @@ from imucalib.readers.fields.source import HEAD_BYTES
 _LINES = 100
 
 
-@dataclass(frozen=True)
-class FoundRecordings:
-    """Recordings by their absolute paths, each once, in the order given; and in words where they
-    come from and what was left out."""
-
-    recordings: tuple[Path, ...]
-    said: tuple[str, ...]
-
-
-def recordings_of(inputs: Sequence[str]) -> FoundRecordings:
+def recordings_of(inputs: Sequence[str]) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """The recordings that arguments name: a recording; a folder, with all below it; a glob; or a
-    manifest, which is text whose lines, or whose column "path", name files.
+    manifest, which is text whose lines, or whose column "path", name files. They are absolute
+    paths, each once, in the order given; with words of where they come from and what was left out.
 
     Raises UnreadableInput for what is not there, names nothing, or is named twice in a manifest.
     """
@@ -43,7 +34,7 @@ def recordings_of(inputs: Sequence[str]) -> FoundRecordings:
             said.append(f"{text}: {len(parts)} matches")
     if not found:
         raise UnreadableInput("no recording in it", where=", ".join(inputs))
-    return FoundRecordings(tuple(found), tuple(said))
+    return tuple(found), tuple(said)
 
 
 def _absolute(path: Path) -> Path:

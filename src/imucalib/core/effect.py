@@ -196,7 +196,7 @@ class Effect(Protocol):
     @property
     def part_of(self) -> str: ...
     def parameters(self, context: Context) -> tuple[Parameter, ...]: ...
-    def find_missing(self, context: Context) -> str:
+    def missing(self, context: Context) -> str:
         """Why the context cannot carry the effect; empty when it can."""
         ...
 
@@ -224,7 +224,7 @@ class Described:
     part_of: str = field(default="", kw_only=True)
     remedy: str = field(default="", kw_only=True)
 
-    def find_missing(self, context: Context) -> str:
+    def missing(self, context: Context) -> str:
         for name in self.needs:
             if name not in context:
                 return f"no {name.replace('_', ' ')} was recorded"

@@ -83,7 +83,7 @@ def _check_action(effect: Effect, where: str) -> None:
     known = dict.fromkeys((*CLOCKS, *effect.needs), spread) | {"sample_age": spread[:, None] - 0.5}
     context = Context(_ROWS, known, sweeps=2, moving=True)
     try:
-        reason = effect.find_missing(context)
+        reason = effect.missing(context)
         parameters = effect.parameters(context)
         wrong = _parameters_wrong(parameters, reason)
         for size in (0.0, 1.0):

@@ -19,13 +19,12 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import identity
 from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.core.sphere import even_directions
-from imucalib.effects.forms import in_words
 from imucalib.errors import UsageError
 from imucalib.exports import Export, Made
-from imucalib.exports.imus import losses_of, lost_rates, places_of
+from imucalib.exports.imus import lost_of, lost_rates, places_of
 from imucalib.exports.linear import lost_linear, nearest_linear, sphere_of
 from imucalib.recording.identity import NAMELESS
-from imucalib.units import DEG, MG, STANDARD_GRAVITY
+from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: Readings that the header tests itself with: the six faces, none, and one between the axes.
 _TEST_READINGS = np.array([*np.eye(3), *(0.0 - np.eye(3)), np.zeros(3), [0.6, -0.48, 0.64]])
@@ -68,11 +67,11 @@ def c_header(calibration: Calibration, filename: str) -> Made:
     Raises UsageError when a coefficient passes fixed point.
     """
     if calibration.triads:
-        corrections, lost = _of_array(calibration)
-        losses, places = losses_of(calibration, ()), places_of(calibration)
+        corrections, places = _of_array(calibration), places_of(calibration)
+        lost, loss, rate_loss = lost_of(calibration, ())
     else:
         corrections, lost, loss = _of_one(calibration)
-        losses, places = (loss, 0.0), np.zeros((0, 3))
+        rate_loss, places = 0.0, np.zeros((0, 3))
     for one in corrections:
         _demand_fixed_point(one)
     text = _fill(
@@ -91,7 +90,7 @@ def c_header(calibration: Calibration, filename: str) -> Made:
             "table": _table,
         }
     )
-    return Made(text, lost, *losses)
+    return Made(text, lost, loss, rate_loss)
 
 
 def _prefix(calibration: Calibration) -> str:
@@ -127,8 +126,8 @@ def _of_one(calibration: Calibration) -> tuple[list[CFormula], tuple[str, ...], 
     return every, lost, linear.mean
 
 
-def _of_array(calibration: Calibration) -> tuple[list[CFormula], tuple[str, ...]]:
-    """Readings turned into board axes by the correction itself; with what it loses in words."""
+def _of_array(calibration: Calibration) -> list[CFormula]:
+    """Readings turned into board axes by the correction itself."""
     triads = calibration.triads
     one = STANDARD_GRAVITY * even_directions(600)
     M = np.array([np.linalg.inv(t.gain) @ t.rotation for t in triads])
@@ -136,12 +135,7 @@ def _of_array(calibration: Calibration) -> tuple[list[CFormula], tuple[str, ...]
     sd = np.array([_largest_sd(t.force_covariance(one)) for t in triads])
     turn = np.array([np.linalg.inv(t.gyro_gain) @ t.rotation for t in triads])
     rest = np.array([-np.linalg.inv(t.gyro_gain) @ t.gyro_bias for t in triads])
-    lost = tuple(
-        f"{in_words(row['effect'])}, {_in_mg(float(row['rms']), str(row['unit']))} rms in the "
-        "motion that was calibrated"
-        for row in calibration.facts.get("not_undone", ())
-    )
-    return [_acceleration(M, b, sd), _rate(turn, rest)], lost
+    return [_acceleration(M, b, sd), _rate(turn, rest)]
 
 
 def _acceleration(M: Array, b: Array, sd: Array) -> CFormula:
@@ -168,10 +162,6 @@ def _demand_fixed_point(one: CFormula) -> None:
 def _largest_sd(covariance: Array) -> Array:
     """(3,) m/s², the largest over forces (n, 3, 3), each axis by itself."""
     return np.asarray(np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0)).max(axis=0))
-
-
-def _in_mg(value: float, unit: str) -> str:
-    return f"{value / MG:.2f} mg" if unit == "m/s²" else f"{value:.3g} {unit}"
 
 
 def _table(kind: str, name: str, values: Array) -> str:

@@ -15,6 +15,8 @@ WHAT = (
     "imuK: readings corrected by imucal, in board axes at the IMU's place; imuK_package: the "
     "IMU's own axes; fused: the virtual IMU, in the middle"
 )
+#: What every form of frames has no place for.
+LOST = ("gains, biases and noise: a frame has none",)
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,3 @@ def in_comment(calibration: Calibration, filename: str) -> str:
     """What an XML file says of itself: two hyphens would end the comment."""
     said = f"Frames of an array by imucal, from {filename}, status {calibration.status}. {WHAT}."
     return said.replace("--", "- -").replace("--", "- -")
-
-
-LOST = ("gains, biases and noise: a frame has none",)

@@ -9,7 +9,8 @@ that in which its accelerometer's matrix is L_a: Q_a turns the board's axes into
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,27 +32,41 @@ from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: What every form of single IMUs loses of an array.
 _KEPT = ("gyro_g_sensitivity", "sensing_elements")
+#: What programs that filter ask of an IMU's noise, and its units.
+NOISE_UNITS = {
+    "accelerometer_noise_density": "m/s2/sqrt(Hz)",
+    "accelerometer_random_walk": "m/s3/sqrt(Hz)",
+    "gyroscope_noise_density": "rad/s/sqrt(Hz)",
+    "gyroscope_random_walk": "rad/s2/sqrt(Hz)",
+}
+_MEASURE = (
+    "give a recording at rest to `imucal noise RECORDING --to kalibr -o noise.yaml` and `--noise "
+    "noise.yaml` to `imucal export`, or state the walks there: --random-walk ACC,GYRO (SI)"
+)
 
 
 @dataclass(frozen=True)
 class Imu:
-    """place : (3,) m in the board's frame; frame : (3, 3) board axes to the IMU's
+    """By default a perfect one in the middle of the board.
+
+    noise : keys as in Kalibr's imu.yaml, as far as they are known
+    place : (3,) m in the board's frame; frame : (3, 3) board axes to the IMU's
     accelerometer, gyro : (3, 3) L of each; gyro_turn : (3, 3) IMU's frame to the gyro's
     by_force : (3, 3) rad/s per m/s², of forces in the gyro's frame
     elements : (3, 3) m, in its rows where the axes x, y and z sense, from the place, in the IMU's
         frame
-    noise : keys as in Kalibr's imu.yaml, as far as they are known; topic : of its recording
+    topic : of its recording
     """
 
     name: str
-    place: Array
-    frame: Array
-    accelerometer: Array
-    gyro: Array
-    gyro_turn: Array
-    by_force: Array
-    elements: Array
     noise: dict[str, Any]
+    place: Array = field(default_factory=partial(np.zeros, 3))
+    frame: Array = field(default_factory=partial(np.eye, 3))
+    accelerometer: Array = field(default_factory=partial(np.eye, 3))
+    gyro: Array = field(default_factory=partial(np.eye, 3))
+    gyro_turn: Array = field(default_factory=partial(np.eye, 3))
+    by_force: Array = field(default_factory=partial(np.zeros, (3, 3)))
+    elements: Array = field(default_factory=partial(np.zeros, (3, 3)))
     topic: str = ""
 
     @property
@@ -123,13 +138,11 @@ def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
     known = calibration.facts.get("noise_density", {})
     return Imu(
         name=name_of(calibration),
-        place=np.zeros(3),
         frame=frame,
         accelerometer=lower,
         gyro=gyro_lower,
         gyro_turn=turn @ frame.T,
         by_force=gyro.by_force @ turn.T,
-        elements=np.zeros((3, 3)),
         noise=dict(next(iter(known.values()), {})),
         topic=(calibration.sensor or NAMELESS).topic,
     )
@@ -163,7 +176,7 @@ def _effect(calibration: Calibration, name: str, imu: str, size: int) -> Array:
     return np.zeros(size)
 
 
-def late_of(calibration: Calibration) -> float:
+def common_delay(calibration: Calibration) -> float:
     """s by which all gyros are late against the accelerometers: what a low-pass of either does is,
     to the first order, a delay by its time constant."""
     if (told := read_delay(calibration)) is not None:
@@ -180,7 +193,7 @@ def lost_rates(
     gyro = gyroscope_of(calibration)
     laws = gyro.laws if gyro else ()
     lost = tuple(in_words(e.name) for e, _, _ in laws if e.name not in kept)
-    if not delay and (late := late_of(calibration)):
+    if not delay and (late := common_delay(calibration)):
         lost += (
             f"the delay of gyroscope behind accelerometer, {1e3 * late:.3f} ms: subtract it from "
             "the gyroscope's stamps",
@@ -217,69 +230,49 @@ def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
 
 def lost_of(
     calibration: Calibration, kept: tuple[str, ...] = _KEPT, *, delay: bool = False
-) -> tuple[str, ...]:
-    """Effects that the form has no place for; delay : whether it has one for a common delay."""
-    kept = (*kept, *_common_delays())
-    lost = lost_rates(calibration, kept, delay=delay)
+) -> tuple[tuple[str, ...], float, float]:
+    """Effects that the form has no place for, in words; and the largest rms in the motion that was
+    calibrated of one of them: on a force, mg, and on a rate, deg/s.
+
+    kept : effects that it has a place for; delay : whether it has one for a common delay
+    """
+    aside, largest = _common_delays(), {"m/s²": 0.0, "deg/s": 0.0}
+    lost = lost_rates(calibration, (*kept, *aside), delay=delay)
     if not calibration.triads and (own := beyond_linear(calibration)):
         lost += (own,)
-    return lost + tuple(
-        f"{in_words(row['effect'])}, {float(row['rms']):.3g} {row['unit']} rms in the motion that "
-        "was calibrated"
-        for row in calibration.facts.get("not_undone", ())
-        if row["effect"] not in kept
-    )
-
-
-def losses_of(
-    calibration: Calibration, kept: tuple[str, ...] = _KEPT, *, delay: bool = False
-) -> tuple[float, float]:
-    """Largest rms in the motion that was calibrated of an effect that the form has no place for: on
-    a force, mg, and on a rate, deg/s; delay : whether it has one for a common delay."""
-    aside, largest = _common_delays(), {"m/s²": 0.0, "deg/s": 0.0}
     for row in calibration.facts.get("not_undone", ()):
-        effect, unit = row["effect"], row["unit"]
+        effect, unit, rms = row["effect"], row["unit"], float(row["rms"])
+        if effect not in (*kept, *aside):
+            words = f"{in_words(effect)}, {rms:.3g} {unit} rms in the motion that was calibrated"
+            lost += (words,)
         # A delay is known against the other sensor only: it is a rate's loss.
         held = effect in kept or (effect in aside and (delay or unit == "m/s²"))
         if not held and unit in largest:
-            largest[unit] = max(largest[unit], float(row["rms"]))
-    return largest["m/s²"] / MG, largest["deg/s"]
-
-
-#: What programs that filter ask of an IMU's noise, and its units.
-NOISE_UNITS = {
-    "accelerometer_noise_density": "m/s2/sqrt(Hz)",
-    "accelerometer_random_walk": "m/s3/sqrt(Hz)",
-    "gyroscope_noise_density": "rad/s/sqrt(Hz)",
-    "gyroscope_random_walk": "rad/s2/sqrt(Hz)",
-}
+            largest[unit] = max(largest[unit], rms)
+    return lost, largest["m/s²"] / MG, largest["deg/s"]
 
 
 def file_an_imu(
     calibration: Calibration,
     program: str,
     text: Callable[[Imu, dict[str, Any], list[str]], str],
-    lost: tuple[str, ...],
-    losses: tuple[float, float],
+    kept: tuple[str, ...] = _KEPT,
 ) -> Made:
     """What a program that filters reads, which estimates biases by itself.
 
-    text : of an IMU's file, from its noise and what is said in comments; lost, losses : in words,
-    and of a force, mg, and of a rate, deg/s
+    text : of an IMU's file, from its noise and what is said in comments
+    kept : effects that it has a place for
     Raises as `imus_of`, and UsageError where nothing is known of one of its noises.
     """
+    lost, loss, rate_loss = lost_of(calibration, kept)
     lost = (f"the biases: {program} estimates them in every recording", *lost)
     files = {}
     for imu in imus_of(calibration, program):
         noise, said = noise_of(imu, program)
         files[imu.name] = text(imu, noise, [*said, *(f"# Not in it: {one}." for one in lost)])
-    return Made("---\n".join(files.values()), lost, *losses, files if len(files) > 1 else {})
-
-
-_MEASURE = (
-    "give a recording at rest to `imucal noise RECORDING --to kalibr -o noise.yaml` and `--noise "
-    "noise.yaml` to `imucal export`, or state the walks there: --random-walk ACC,GYRO (SI)"
-)
+    return Made(
+        "---\n".join(files.values()), lost, loss, rate_loss, files if len(files) > 1 else {}
+    )
 
 
 def noise_of(imu: Imu, program: str, remedy: str = _MEASURE) -> tuple[dict[str, Any], list[str]]:
@@ -300,7 +293,7 @@ def noise_of(imu: Imu, program: str, remedy: str = _MEASURE) -> tuple[dict[str, 
     return found, said
 
 
-def with_walks(calibration: Calibration, accelerometer: float, gyroscope: float) -> Calibration:
+def state_walks(calibration: Calibration, accelerometer: float, gyroscope: float) -> Calibration:
     """A calibration whose random walks are stated, m/s³/√Hz and rad/s²/√Hz."""
     names = [t.name for t in calibration.triads] or [name_of(calibration)]
     known = calibration.facts.get("noise_density", {})
@@ -313,7 +306,7 @@ def with_walks(calibration: Calibration, accelerometer: float, gyroscope: float)
     return replace(calibration, facts={**calibration.facts, "noise_density": stated})
 
 
-def with_noise(calibration: Calibration, path: Path) -> Calibration:
+def state_noise(calibration: Calibration, path: Path) -> Calibration:
     """The calibration with what a file tells of its sensors' noise.
 
     Raises UnreadableInput for a file that is none, or that names none of the calibration's IMUs.

@@ -6,7 +6,7 @@ from typing import Any
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.imus import Imu, file_an_imu, losses_of, lost_of
+from imucalib.exports.imus import Imu, file_an_imu
 from imucalib.recording.yaml_text import dump
 
 
@@ -27,8 +27,7 @@ def kalibr(calibration: Calibration, filename: str) -> Made:
         ]
         return "\n".join([*lines, dump({**noise, **_block(imu)})])
 
-    lost, losses = lost_of(calibration), losses_of(calibration)
-    return file_an_imu(calibration, "Kalibr", text, lost, losses)
+    return file_an_imu(calibration, "Kalibr", text)
 
 
 def _block(imu: Imu) -> dict[str, Any]:

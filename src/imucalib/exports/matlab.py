@@ -10,7 +10,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.exports import Export, Made
-from imucalib.exports.imus import late_of, losses_of, lost_of, lost_rates, places_of
+from imucalib.exports.imus import common_delay, lost_of, lost_rates, places_of
 from imucalib.exports.linear import lost_linear, nearest_linear
 
 
@@ -69,12 +69,11 @@ def _of_array(calibration: Calibration) -> Made:
         f"r_covariance = {_matrix(covariance)};",
         _delay(calibration),
     ]
-    lost = lost_of(calibration, (), delay=True)
-    return Made("\n".join(lines), lost, *losses_of(calibration, (), delay=True))
+    return Made("\n".join(lines), *lost_of(calibration, (), delay=True))
 
 
 def _delay(calibration: Calibration) -> str:
-    return f"gyro_delay = {late_of(calibration):.9g};"
+    return f"gyro_delay = {common_delay(calibration):.9g};"
 
 
 def _matrix(values: Array) -> str:

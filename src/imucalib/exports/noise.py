@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,16 +70,13 @@ def _vins(noise: Sequence[SensorNoise], said: list[str]) -> str:
     velocity and acc_w dt to the bias, so acc_n is N √f and acc_w is K √f."""
     _, numbers, limits = _only(noise, "VINS")
     root = float(np.sqrt(numbers["update_rate"]))
-    lines = [
-        f"{name}: {float(f'{root * numbers[key]:.6g}')!r}"
-        for name, key in (
-            ("acc_n", "accelerometer_noise_density"),
-            ("gyr_n", "gyroscope_noise_density"),
-            ("acc_w", "accelerometer_random_walk"),
-            ("gyr_w", "gyroscope_random_walk"),
-        )
-    ]
-    return "\n".join(["%YAML:1.0", *said, *limits, *lines, ""])
+    names = {
+        "acc_n": "accelerometer_noise_density",
+        "gyr_n": "gyroscope_noise_density",
+        "acc_w": "accelerometer_random_walk",
+        "gyr_w": "gyroscope_random_walk",
+    }
+    return _as_opencv([*said, *limits], {name: root * numbers[key] for name, key in names.items()})
 
 
 def _orbslam3(noise: Sequence[SensorNoise], said: list[str]) -> str:
@@ -93,8 +90,13 @@ def _orbslam3(noise: Sequence[SensorNoise], said: list[str]) -> str:
         "IMU.AccWalk": "accelerometer_random_walk",
         "IMU.Frequency": "update_rate",
     }
-    lines = [f"{name}: {float(f'{numbers[key]:.6g}')!r}" for name, key in names.items()]
-    return "\n".join(["%YAML:1.0", *said, *limits, *lines, ""])
+    return _as_opencv([*said, *limits], {name: numbers[key] for name, key in names.items()})
+
+
+def _as_opencv(said: list[str], numbers: Mapping[str, float]) -> str:
+    """A file as OpenCV reads it."""
+    lines = [f"{name}: {float(f'{value:.6g}')!r}" for name, value in numbers.items()]
+    return "\n".join(["%YAML:1.0", *said, *lines, ""])
 
 
 def _ros(noise: Sequence[SensorNoise], said: list[str]) -> str:
@@ -134,19 +136,7 @@ def _only(noise: Sequence[SensorNoise], program: str) -> tuple[Imu, dict[str, An
             remedy=f"name one: {paste('--sensor', next(iter(blocks)))}",
         )
     name, block = next(iter(blocks.items()))
-    turn, none = np.eye(3), np.zeros((3, 3))
-    imu = Imu(
-        name=name,
-        place=np.zeros(3),
-        frame=turn,
-        accelerometer=turn,
-        gyro=turn,
-        gyro_turn=turn,
-        by_force=none,
-        elements=none,
-        noise=block,
-        topic=block["rostopic"],
-    )
+    imu = Imu(name, block, topic=block["rostopic"])
     return imu, *noise_of(imu, program, "name columns of both (--acc, --gyro), or use --to ros")
 
 

@@ -8,10 +8,8 @@ import numpy as np
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.imus import Imu, file_an_imu, losses_of, lost_of
+from imucalib.exports.imus import Imu, file_an_imu
 from imucalib.recording.yaml_text import dump
-
-_KEPT = ("gyro_g_sensitivity",)
 
 
 def openvins(calibration: Calibration, filename: str) -> Made:
@@ -25,8 +23,7 @@ def openvins(calibration: Calibration, filename: str) -> Made:
         made = f"# {imu.name} by imucal, from {filename}, status {calibration.status}. SI units."
         return chain(imu, noise, [made, *said])
 
-    lost, losses = lost_of(calibration, _KEPT), losses_of(calibration, _KEPT)
-    return file_an_imu(calibration, "OpenVINS", text, lost, losses)
+    return file_an_imu(calibration, "OpenVINS", text, ("gyro_g_sensitivity",))
 
 
 def chain(imu: Imu, noise: dict[str, Any], said: list[str]) -> str:

@@ -32,6 +32,10 @@ _LOSS = re.compile(
 )
 _REPEATS = re.compile(r"repeat the one before to the last digit")
 _STEPS = 1 << 16  # steps a channel keeps for the jitter
+_FAR = 0.1  # a norm at rest this far from 1 g (relative) is a wrong unit or scale, not a bad sensor
+_LONG_GAPS = 0.01  # share of the recording
+#: Of a worn sensor's recording, s; turns of a hand, and rests of an accelerometer alone.
+_WORN, _TURNS, _RESTS = 2 * 3600.0, 5, 6
 
 
 class ChannelFacts(Data):
@@ -162,7 +166,7 @@ class _Watch:
     notes: list[str] = field(default_factory=list)
     last: Recording | None = None
 
-    def watched(self, blocks: Iterable[Recording]) -> Iterator[Recording]:
+    def follow(self, blocks: Iterable[Recording]) -> Iterator[Recording]:
         """The blocks, noticed."""
         for block in blocks:
             self.last = block
@@ -182,7 +186,7 @@ def inspect_recording(
     Raises what the blocks raise; a recording without rest or acceleration is told, not refused.
     """
     watch = _Watch()
-    stream = watch.watched(blocks)
+    stream = watch.follow(blocks)
     still, why = None, ""
     try:
         still = find_segments(stream, settings)
@@ -244,10 +248,6 @@ def _gap_seconds(gaps: list[Gap]) -> float:
     return total
 
 
-_FAR = 0.1  # a norm at rest this far from 1 g (relative) is a wrong unit or scale, not a bad sensor
-_LONG_GAPS = 0.01  # share of the recording
-
-
 def problems(found: Inspection) -> Iterator[str]:
     """What speaks against a calibration or a correction, most serious first."""
     accelerometers = found.of("acceleration")
@@ -273,10 +273,6 @@ def problems(found: Inspection) -> Iterator[str]:
     elif found.gap_seconds > _LONG_GAPS * found.span:
         share = 100 * found.gap_seconds / found.span if found.span else 100.0
         yield f"gaps take {share:.0f} % of it"
-
-
-#: Of a worn sensor's recording, s; turns of a hand, and rests of an accelerometer alone.
-_WORN, _TURNS, _RESTS = 2 * 3600.0, 5, 6
 
 
 def next_commands(found: Inspection, typed: str) -> tuple[str, ...]:

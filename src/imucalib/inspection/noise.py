@@ -22,6 +22,7 @@ _FEWEST = 5  # values that a fit needs
 _SHOWN = 0.1  # share of the variance at some τ that a term must be, to show
 _ODD = 1.5  # intervals between samples from which on there is a gap
 _SENSORS = {"acceleration": "m/s2", "angular_rate": "rad/s"}
+_PREFIX = {"acceleration": "accelerometer", "angular_rate": "gyroscope"}
 
 
 class Coefficient(Data):
@@ -173,9 +174,6 @@ def noisiest(axes: Sequence[AxisNoise], term: str) -> AxisNoise:
         return own.value is not None, own.below if own.value is None else own.value
 
     return max(axes, key=size)
-
-
-_PREFIX = {"acceleration": "accelerometer", "angular_rate": "gyroscope"}
 
 
 def noise_blocks(noise: Sequence[SensorNoise]) -> dict[str, dict[str, Any]]:

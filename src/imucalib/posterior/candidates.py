@@ -92,7 +92,7 @@ def testable(fit: Fit, effects: Iterable[Effect]) -> Iterator[Effect]:
     data = fit.observations
     for effect in effects:
         part = effect.part_of and not data.reference.directed
-        usable = not part and not effect.find_missing(data.context)
+        usable = not part and not effect.missing(data.context)
         if usable and effect.name not in fit.model.names and effect.parameters(data.context):
             yield effect
 

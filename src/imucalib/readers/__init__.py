@@ -22,8 +22,8 @@ from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
 from imucalib.readers.fields.joining import (
     check_clocks,
     in_parts,
+    join_files,
     tell_order,
-    together,
 )
 from imucalib.readers.fields.possible import drop_impossible
 from imucalib.readers.fields.rates import check_rates
@@ -134,7 +134,7 @@ def read(
     full = with_preset(mapping or FieldMapping())
     reader = _reader(path, full)
     found = (reader.read(Path(path), full, strict=strict) for _ in range(1))
-    return next(_look_at(found, full, reader))
+    return next(_guard(_look_at(found, full, reader), path))
 
 
 def read_together(
@@ -145,7 +145,7 @@ def read_together(
 ) -> Recording:
     """Files of one device, each of other sensors, as one recording (a phone's accelerometer and
     gyroscope). Errors as in `read`, and UsageError for clocks that do not fit each other."""
-    return together([read(path, mapping, strict=strict) for path in paths])
+    return join_files([read(path, mapping, strict=strict) for path in paths])
 
 
 def blocks(
@@ -159,27 +159,22 @@ def blocks(
     full = with_preset(mapping or FieldMapping())
     reader = _reader(path, full)
     found = reader.blocks(Path(path), full, block_samples=block_samples, strict=strict)
-    return _look_at(found, full, reader)
+    return _guard(_look_at(found, full, reader), path)
 
 
 def blocks_again(
     path: str | os.PathLike[str], mapping: FieldMapping, channel: str
 ) -> Iterator[Recording]:
     """One channel of a recording that `blocks` has gone through: neither repeats nor units are
-    looked at anew, and what a format can leave out is not read."""
+    looked at anew."""
     full = with_preset(mapping)
-    reader, place = _reader(path, full), Path(path)
-    alone = getattr(reader, "blocks_of", None)
-    found: Iterator[Recording] = (
-        alone(place, full, channel, block_samples=BLOCK_SAMPLES)
-        if alone and not full.sensor
-        else reader.blocks(place, full, block_samples=BLOCK_SAMPLES, strict=False)
-    )
+    reader = _reader(path, full)
+    found = reader.blocks(Path(path), full, block_samples=BLOCK_SAMPLES, strict=False)
     found = select_sensor(found, full.sensor) if full.sensor else found
     one = (
         replace(b, channels={k: c for k, c in b.channels.items() if k == channel}) for b in found
     )
-    return _unwarned(in_parts(drop_impossible(one)))
+    return _guard(in_parts(drop_impossible(one)), path)
 
 
 def _reader(path: str | os.PathLike[str], mapping: FieldMapping) -> Reader:
@@ -209,14 +204,23 @@ def _look_at(
     found = select_sensor(found, mapping.sensor) if mapping.sensor else found
     possible = drop_impossible(found)
     clocked = check_clocks(tell_order(in_parts(possible)))
-    return _unwarned(mark_held(check_rates(clocked, mapping, fixed=fixed)))
+    return mark_held(check_rates(clocked, mapping, fixed=fixed))
 
 
-def _unwarned(found: Iterator[Recording]) -> Iterator[Recording]:
-    """The same; a damaged number, of any size or a signalling NaN, is no warning of numpy's."""
+def _guard(found: Iterator[Recording], path: str | os.PathLike[str]) -> Iterator[Recording]:
+    """The same; a damaged number, of any size or a signalling NaN, is no warning of numpy's. Raises
+    UnreadableInput where the operating system cannot read the file."""
     while True:
-        with np.errstate(invalid="ignore", over="ignore"):
-            one = next(found, None)
+        try:
+            with np.errstate(invalid="ignore", over="ignore"):
+                one = next(found, None)
+        except OSError as error:
+            detail = error.strerror or str(error) or type(error).__name__
+            raise UnreadableInput(
+                f"the file cannot be read: {detail}",
+                where=str(path),
+                remedy="check the disk or share",
+            ) from error
         if one is None:
             return
         yield one

@@ -16,11 +16,8 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput
-from imucalib.readers.fields.joining import Joined
-from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
-from imucalib.recording.mapping import FieldMapping
+from imucalib.readers.hdf5.reader import Held, HeldReader, put_channel
 from imucalib.recording.onboard import TAKEN, Onboard, in_ardupilot, parameters_from
-from imucalib.recording.recording import Recording
 
 _MAGIC, _FMT, _FMT_SIZE = b"\xa3\x95", 128, 89
 _LETTERS = {
@@ -61,12 +58,11 @@ _Layouts = dict[int, tuple[str, np.dtype[Any]]]
 _Rows = dict[str, NDArray[Any]]  # structured messages by their name
 
 
-class DataflashReader(Joined):
+class DataflashReader(HeldReader):
     """Reader of DataFlash logs; see `imucalib.readers.Reader`."""
 
     name = "dataflash"
     suffixes = (".bin",)
-    at_once = 1 << 20
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Messages that state the format of messages, one after the other; the first may be
@@ -75,26 +71,14 @@ class DataflashReader(Joined):
         at = [k for k in range(0, 8 * _FMT_SIZE, _FMT_SIZE) if head[k : k + 3] == mark]
         return len(at) > 1 or head.startswith(mark)
 
-    def blocks(
-        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
-    ) -> Iterator[Recording]:
-        """Yield blocks of about `block_samples` rows; the inertial messages are held in memory."""
+    def fill(self, held: Any, path: Path, *, strict: bool) -> Held:
+        """Put the inertial messages in."""
         rows, lost = _messages(path)
-        notes: tuple[str, ...] = ()
-        if lost:
-            notes = (f"{lost} bytes belong to no message: what they held is missing",)
-            if strict:
-                raise UnreadableInput(notes[0], where=str(path), remedy="read it without --strict")
-        yield from blocks_in_memory(
-            lambda held: _fill(held, rows, path),
-            path,
-            mapping,
-            block_samples=block_samples,
-            strict=strict,
-            name=self.name,
-            notes=notes,
-            onboard=_onboard(rows),
-        )
+        notes = (f"{lost} bytes belong to no message: what they held is missing",) if lost else ()
+        if strict and notes:
+            raise UnreadableInput(notes[0], where=str(path), remedy="read it without --strict")
+        _fill(held, rows, path)
+        return Held(notes, _onboard(rows))
 
 
 READER = DataflashReader()

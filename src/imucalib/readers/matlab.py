@@ -6,46 +6,32 @@ is what would be found in an HDF5 file with the same names.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers.fields.joining import Joined
-from imucalib.readers.hdf5.reader import blocks_in_memory
-from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Recording
+from imucalib.readers.hdf5.reader import Held, HeldReader
 
 _START = b"MATLAB 5.0 MAT-file"
 _MOST_BYTES, _MOST_RATIO, _DEEPEST = 4 << 30, 200, 8  # packed better than this is no recording
 
 
-class MatlabReader(Joined):
+class MatlabReader(HeldReader):
     """Reader of MATLAB files; see `imucalib.readers.Reader`."""
 
     name = "matlab"
     suffixes = (".mat",)
-    at_once = 1 << 20
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """The text that every file of version 5 to 7 begins with."""
         return head.startswith(_START)
 
-    def blocks(
-        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
-    ) -> Iterator[Recording]:
-        """Yield the fields in blocks of about `block_samples` rows."""
-        variables = _variables(path)
-        yield from blocks_in_memory(
-            lambda held: _store(held, variables, 0),
-            path,
-            mapping,
-            block_samples=block_samples,
-            strict=strict,
-            name=self.name,
-        )
+    def fill(self, held: Any, path: Path, *, strict: bool) -> Held:
+        """Put the numbers in; nothing is known to be lost of a file that can be read."""
+        _store(held, _variables(path), 0)
+        return Held()
 
 
 READER = MatlabReader()

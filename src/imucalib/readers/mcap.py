@@ -27,7 +27,7 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, Metadata, Schema, Statistics
+from mcap.records import Channel, DataEnd, Footer, Metadata, Schema
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
@@ -316,7 +316,7 @@ class McapLog(MessageLog):
 
     def indexed_topics(self) -> dict[int, Topic]:
         """Topics of the file's summary; none where it is absent, cut or damaged."""
-        found, counts = _Definitions({}), dict[int, int]()
+        found = _Definitions({})
         with self.path.open("rb") as file:
             size = file.seek(0, 2)
             file.seek(max(size - 37, 0))
@@ -334,14 +334,11 @@ class McapLog(MessageLog):
         try:
             while at + 9 <= len(data):
                 opcode, length = RECORD_HEADER.unpack_from(data, at)
-                content = data[at + 9 : at + 9 + length]
-                found.add(opcode, content)
-                if opcode == Opcode.STATISTICS:
-                    counts = parse_record(Statistics, content).channel_message_counts
+                found.add(opcode, data[at + 9 : at + 9 + length])
                 at += 9 + length
         except MalformedRecordError:
             return {}
-        return {n: replace(topic, count=counts.get(n, 0)) for n, topic in found.topics.items()}
+        return found.topics
 
     # -- one record ---------------------------------------------------------------------------
 

@@ -169,14 +169,7 @@ def _topic(number: int, connection: Any) -> Topic:
     # rosbags names types as ROS 2 does; a ROS 1 type is package/Type (MCAP specification, "ros1").
     name = connection.msgtype.replace("/msg/", "/") if encoding == "ros1" else connection.msgtype
     schema = Schema(number + 1, definition.data.encode(), kind, name)
-    return Topic(
-        number,
-        connection.topic,
-        encoding,
-        schema,
-        _read_metadata(connection.ext),
-        connection.msgcount,
-    )
+    return Topic(number, connection.topic, encoding, schema, _read_metadata(connection.ext))
 
 
 def _read_metadata(ext: Any) -> dict[str, str]:

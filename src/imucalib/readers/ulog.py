@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.fields.joining import Joined
-from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
-from imucalib.recording.mapping import FieldMapping
+from imucalib.readers.hdf5.reader import Held, HeldReader, put_channel
 from imucalib.recording.onboard import AHEAD, TAKEN, Onboard, Parameters, in_px4, parameters_from
-from imucalib.recording.recording import Recording
 
 _MAGIC = b"ULog\x01\x12\x35"
 _US = 1e-6
@@ -44,34 +41,23 @@ _FILTERED = (
 )
 
 
-class UlogReader(Joined):
+class UlogReader(HeldReader):
     """Reader of PX4 logs; needs the extra `px4`. See `imucalib.readers.Reader`."""
 
     name = "ulog"
     suffixes = (".ulg",)
-    at_once = 1 << 20
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """The seven bytes that every such log begins with."""
         return head.startswith(_MAGIC)
 
-    def blocks(
-        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
-    ) -> Iterator[Recording]:
-        """Yield blocks of about `block_samples` rows; the log's sensors are held in memory."""
+    def fill(self, held: Any, path: Path, *, strict: bool) -> Held:
+        """Put the log's sensors in."""
         log, said = _log(path)
         topics, thinned = _choose(log.data_list)
         notes = (*_damage(log, said, path, strict=strict), *thinned)
-        yield from blocks_in_memory(
-            lambda held: _fill(held, topics, path),
-            path,
-            mapping,
-            block_samples=block_samples,
-            strict=strict,
-            name=self.name,
-            notes=notes,
-            onboard=_onboard(log, topics),
-        )
+        _fill(held, topics, path)
+        return Held(notes, _onboard(log, topics))
 
 
 READER = UlogReader()

@@ -26,6 +26,7 @@ _MARKS = frozenset(" _-.:/@#+,()[]=~^*%°·⁻√±×−‰′″→…")
 _COMMENTS = ("/*", "*/", "//")
 _LONGEST = 200
 _FORMULA = tuple("=+-@\t")
+_SEPARATORS = re.compile(r"[/:\[\]]+")
 
 
 def fault(name: str) -> str:
@@ -54,9 +55,6 @@ def printable(text: str) -> str:
     for mark in _COMMENTS:
         line = line.replace(mark, "?".join(mark))
     return line
-
-
-_SEPARATORS = re.compile(r"[/:\[\]]+")
 
 
 @dataclass(frozen=True)

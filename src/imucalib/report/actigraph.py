@@ -15,9 +15,8 @@ from imucalib.core.sphere import coverage, even_directions
 from imucalib.exports.per_axis import nearest_row
 from imucalib.posterior.held_out import raw_errors
 from imucalib.report import sections
-from imucalib.report.plots import band, gain_plot, sphere_map
+from imucalib.report.plots import band, sphere_map
 from imucalib.report.render.document import (
-    RESIDUALS,
     Card,
     Column,
     Document,
@@ -29,16 +28,9 @@ from imucalib.report.render.document import (
     Text,
     Worth,
 )
-from imucalib.significant_digits import (
-    format_with_sd,
-    per_cent,
-    plus_minus,
-    probability,
-    two_digits,
-)
+from imucalib.significant_digits import per_cent, plus_minus, probability, two_digits
 from imucalib.units import MG
 
-_MOST_ROWS = 12  # parameters of one effect that are shown in full
 _BINS = 60
 #: Two standard deviations of noise whose mean size is one.
 _NOISE = 2.0 * float(np.sqrt(np.pi / 2.0))
@@ -70,31 +62,19 @@ _METHODS: tuple[Column, ...] = (
 
 
 def actigraph_document(run: ActigraphRun) -> Document:
-    """Everything that a reader of the calibration must know, headline first."""
-    outcome, error = run.outcome, run.outcome.error
-    head = (
-        f"Error at rest on held-out time {error.held_out.raw:.2f} mg raw, "
-        f"{error.held_out.base:.2f} with nine parameters, {error.held_out.final:.2f} final."
-    )
+    """Everything that a reader of the calibration must know, the verdict first."""
     picture, *others = _residual_plots(run)
-    residuals = (*gain_plot(outcome.findings), *others)
-    parts = [
-        _of_a_kind(run),
-        _activity(run),
-        sections.loop_section(outcome),
+    first = (_of_a_kind(run), _activity(run))
+    rest = (
         _series_section(run.series),
         _parameters(run),
         _coverage(run),
-        sections.advice_section(outcome),
-        Section(RESIDUALS, residuals, brief=False),
-        Section("Error over the sphere", _sphere_blocks(run), brief=False),
+        Section("Error over the sphere", _sphere_blocks(run)),
         _rule(run),
         sections.sensor_section(run.calibration),
-    ]
-    if outcome.findings:
-        parts.append(sections.candidate_section(outcome.findings))
-    title = f"Calibration of {Path(run.scanned.path).name} by gravity"
-    return sections.calibration_document(title, head, parts, run, _card(run, picture))
+    )
+    title, card = f"Calibration of {Path(run.scanned.path).name} by gravity", _card(run, picture)
+    return sections.calibration_document(title, run, card, first=first, residuals=others, rest=rest)
 
 
 def _card(run: ActigraphRun, picture: Plot) -> Card:
@@ -112,7 +92,7 @@ def _card(run: ActigraphRun, picture: Plot) -> Card:
         detail = f"raw reading {night.raw:.2g}; by day {day.raw:.2g} raw, {day.corrected:.2g} "
         worth = Worth("ENMO at night", f"{two_digits(night.corrected)} mg", f"{detail}corrected")
         good.append(worth)
-    ggir = sections.exporting(run.calibration, "For GGIR", "ggir-csv", "ggir.csv")
+    ggir = sections.propose_export(run.calibration, "For GGIR", "ggir-csv", "ggir.csv")
     uses = (sections.CORRECT, *ggir)
     return sections.card_of(run.outcome, good, uses=uses, picture=picture)
 
@@ -167,10 +147,11 @@ def _activity(run: ActigraphRun) -> Section:
         "ENMO: mean of max(|a| - 1 g, 0) over the samples of worn time. The error at rest is held "
         "out: each run predicted without its block of time."
     )
-    table = Table.of(_BEFORE_AFTER, compared, "Before and after", note)
+    table = Table.from_columns(_BEFORE_AFTER, compared, "Before and after", note)
     profile = found.enmo_by_hour_mg
-    hour, ends = np.arange(25.0), np.concatenate([profile, profile[-1:]])
-    steps = (Series(name, hour, ends[:, k], "step") for k, name in enumerate(("raw", "corrected")))
+    hour = np.repeat(np.arange(25.0), 2)[1:-1]
+    means = zip(("raw", "corrected"), profile.T, strict=True)
+    steps = (Series(name, hour, np.repeat(mean, 2), "line") for name, mean in means)
     labels = ("ENMO over the day", "hour of the day (h)", "ENMO (mg)")
     plot = Plot(*labels, tuple(steps), "Mean of each hour of the recording's clock, worn time.")
     return Section("Wear and activity", (Facts(facts), table, plot))
@@ -209,7 +190,7 @@ def _rule(run: ActigraphRun) -> Section:
     if not rule.enough:
         words.append(("its own condition", "not met: an axis has not seen both signs of 0.3 g"))
     table = Table("Six coefficients", header, rows, "lrrr", note)
-    return Section(title, (table, Facts(tuple(words))), brief=False)
+    return Section(title, (table, Facts(tuple(words))))
 
 
 def _series_section(found: Calibrations | None) -> Section:
@@ -238,7 +219,7 @@ def _series_section(found: Calibrations | None) -> Section:
     off = np.array([p.fit.theta[:3] - found.common[:3] for p in good if p.fit]).T
     half = 2.0 * np.array([p.fit.sd[:3] for p in good if p.fit]).T
     each = zip(found.parameters[:3], off, half, strict=True)
-    curves = tuple(Series.about(p.name, middle, y, two_sd, "bars") for p, y, two_sd in each)
+    curves = tuple(Series.from_half(p.name, middle, y, two_sd, "points") for p, y, two_sd in each)
     caption = "Change from what all parts have in common; whiskers: two standard deviations."
     plot = Plot("Bias over time", "time (d)", "change of bias (mg)", curves, caption)
     text = Text(f"{words}.", "warning" if found.differ else "ok")
@@ -246,38 +227,24 @@ def _series_section(found: Calibrations | None) -> Section:
 
 
 def _parameters(run: ActigraphRun) -> Section:
-    fit = run.result.final
-    share, rows, hidden = from_data(fit), [], []
-    for name, part in fit.model.slices(fit.observations.context).items():
-        if part.stop - part.start > _MOST_ROWS:
-            hidden.append(f"{name} ({part.stop - part.start} terms)")
-            continue
-        for k in range(part.start, part.stop):
-            p = fit.parameters[k]
-            value = format_with_sd(fit.theta[k], fit.sd[k])
-            rows.append((p.name, name, *value, p.unit, f"{100.0 * share[k]:.0f}"))
     note = (
         "Uncertainty by posture run: windows of one posture are not independent. Data: the share "
         "of what is known that the recording has shown, 1 - (sd / typical size)²."
     )
-    note += f" In calibration.yaml only: {', '.join(hidden)}." if hidden else ""
-    header = ("parameter", "effect", "value", "sd", "unit", "data, %")
-    return Section("Parameters", (Table("Parameters", header, tuple(rows), "llrrlr", note),))
+    shares = from_data(run.result.final).tolist()
+    return Section("Parameters", (sections.parameter_table(run.calibration, note, shares),))
 
 
 def _coverage(run: ActigraphRun) -> Section:
     c = run.details.coverage
     ends = c.axis_range_g.items()
     seen = ", ".join(f"{a} {low:+.2f} to {high:+.2f} g" for a, (low, high) in ends)
-    known = f"{two_digits(c.norm_sd_mean_mg)} mg on average over all directions, "
-    known += f"{two_digits(c.norm_sd_largest_mg)} mg in the worst (sd)"
     noise = ", ".join(f"{v:.2g}" for v in c.noise_of_a_sample_mg)
     still = f"{c.still_windows} of {c.windows} windows of {c.window_s:g} s"
     rows = [
         ("recorded", f"{c.hours:.1f} h at {c.rate_hz:g} Hz"),
         ("at rest", f"{still}, {c.posture_runs} posture runs"),
         ("seen of gravity", seen),
-        ("|a| is known to", known),
         ("noise", f"{noise} mg a sample{_steps(c)}"),
         ("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"),
     ]
@@ -287,7 +254,6 @@ def _coverage(run: ActigraphRun) -> Section:
         rows.append(("temperature", f"{low:.1f} to {high:.1f} °C; {reference}"))
     if c.runs_that_count_less:
         rows.append(("count less", f"{c.runs_that_count_less} runs that nothing else is like"))
-    rows += [("note", text) for text in run.outcome.notes]
     return Section("What was recorded", (Facts(tuple(rows)),))
 
 
@@ -354,29 +320,24 @@ def _sphere_blocks(run: ActigraphRun) -> tuple[Plot, Table]:
     )
     title = "Mean error of |a| by direction (mg)"
     note = "sd: what the parameters' uncertainty leaves there, with or without postures."
-    return map_, Table.of(_SPHERE, run.details.sphere, title, note)
+    return map_, Table.from_columns(_SPHERE, run.details.sphere, title, note)
 
 
 def published_document(run: PublishedRun) -> Document:
     """The paper's own procedure: its methods next to each other, verified; parameters, points."""
-    error = run.outcome.error
-    head = (
-        f"Mean error {error.held_out.raw:.2f} mg before, {error.held_out.final:.2f} mg after, on "
-        f"{len(run.details.control_points_g)} points that were not used (paper 002, Table 3)."
-    )
     note = "Fixed point: operands of 32 or 16 bits, products of twice as many, no square root."
-    title = "The paper's methods on the same 18 points"
-    methods = Table.of(_METHODS, run.details.methods.items(), title, note)
+    title = "The paper's methods on the same 18 points (paper 002, Table 3)"
+    methods = Table.from_columns(_METHODS, run.details.methods.items(), title, note)
     note = "sd from the residual of the points; 18 points leave 9 degrees of freedom."
     points = tuple(
         (f"{k}", *(f"{v:+.4f}" for v in p)) for k, p in enumerate(run.details.points_g, 1)
     )
-    parts = (
+    rest = (
         Section("Methods", (methods,)),
         Section("Parameters", (sections.parameter_table(run.calibration, note),)),
-        Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),), brief=False),
+        Section("Points", (Table("Points (g)", ("", "x", "y", "z"), points, "lrrr"),)),
     )
     title = f"Calibration of {Path(run.scanned.path).name} as published"
-    worth = sections.error_worth(error, "|a| at rest", "points")
+    worth = sections.error_worth(run.outcome.error, "|a| at rest", "points")
     card = sections.card_of(run.outcome, [worth], uses=(sections.CORRECT,))
-    return sections.calibration_document(title, head, parts, run, card)
+    return sections.calibration_document(title, run, card, rest=rest)

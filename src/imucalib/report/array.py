@@ -13,41 +13,27 @@ from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen
 from imucalib.report import sections
-from imucalib.report.array_figures import board_picture, board_plots, chain_plots, residual_plots
-from imucalib.report.plots import gain_plot
-from imucalib.report.render.document import (
-    RESIDUALS,
-    Card,
-    Document,
-    Facts,
-    Section,
-    Table,
-    Text,
-    Use,
-    Worth,
-)
+from imucalib.report.array_figures import board_picture, board_plots, residual_plots
+from imucalib.report.render.document import Card, Document, Facts, Section, Table, Text, Use, Worth
 from imucalib.significant_digits import format_with_sd, plus_minus
 from imucalib.units import DEG
 
 #: Of the best shown direction, or the liveliest axis, from which another is worth a word.
 _UNEVEN = 0.3
+_FUSE = Use(
+    "Correct and fuse the recording into one IMU",
+    ("apply", "{calibration}", "{input}", "--fused", "-o", "{folder}/fused{suffix}"),
+)
 
 
 def array_document(run: ArrayRun) -> Document:
-    """Everything that a reader of the positions must know, headline first."""
-    outcome, observability = run.outcome, _observability(run)
-    sd = 1e3 * float(np.median(run.total.sd[1:]))
+    """Everything that a reader of the positions must know, the verdict first."""
+    observability = _observability(run)
     off = 1e3 * (run.total.mean - run.board.drawn)
-    head = (
-        f"{run.board.count} positions to {sd:.2g} mm (median standard deviation, size and frame "
-        f"included) from {len(run.state.setup.inner)} moving samples; they differ from the drawing "
-        f"by {_rms(off[1:]):.2g} mm rms."
-    )
     note = f"mm, relative to {run.board.imus[0]}, in the board's axes; sd with size and frame."
     more = tuple(", ".join(f"{v:+.2f}" for v in one) for one in off)
     positions = ("Positions of the accelerometers", run.board, run.total, "minus drawing", more)
     known = _known(run.total, run.gyros, run.board, run.request)
-    residuals = (*gain_plot(outcome.findings), *residual_plots(run))
     chains = (
         (
             "sampler",
@@ -56,26 +42,19 @@ def array_document(run: ArrayRun) -> Document:
         ),
         ("agreement", run.drawn.convergence.sentence),
     )
-    parts = [
+    first = (
         Section("Positions", (_position_table(*positions, note), known)),
-        Section("The board", board_plots(run), brief=False),
-        sections.loop_section(outcome),
-        Section(RESIDUALS, residuals, brief=False),
+        Section("The board", board_plots(run)),
+    )
+    rest = (
         _motion_section(run),
         _rests_section(run),
         Section("Observability", observability),
-        *sections.closing_sections(outcome),
-        Section("The chains", (Facts(chains), *chain_plots(run)), brief=False),
-    ]
-    title = f"Positions of {run.board.name} from {outcome.provenance.path}"
-    card = _card(run, observability)
-    return sections.calibration_document(title, head, parts, run, card)
-
-
-_FUSE = Use(
-    "Correct and fuse the recording into one IMU",
-    ("apply", "{calibration}", "{input}", "--fused", "-o", "{folder}/fused{suffix}"),
-)
+        Section("The chains", (Facts(chains),)),
+    )
+    title = f"Positions of {run.board.name} from {run.outcome.provenance.path}"
+    card, plots = _card(run, observability), residual_plots(run)
+    return sections.calibration_document(title, run, card, first=first, residuals=plots, rest=rest)
 
 
 def _card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
@@ -209,7 +188,7 @@ def _rests_section(run: ArrayRun) -> Section:
     note = f"Turn: relative to {run.board.imus[0]}. Positions are in the triads' mean frame."
     header = ("IMU", "scale - 1", "turn, deg", "bias, m/s²")
     table = Table("Triads", header, tuple(rows), "lrrr", note)
-    return Section("The rests", (Facts(facts), table), brief=False)
+    return Section("The rests", (Facts(facts), table))
 
 
 def _observability(run: ArrayRun) -> tuple[Text, ...]:
@@ -240,25 +219,20 @@ def board_document(run: BoardRun) -> Document:
     board, request = run.runs[0].board, run.runs[0].request
     sd = 1e3 * float(np.median(run.total.sd[1:]))
     names = ", ".join(r.outcome.provenance.path for r in run.runs)
-    head = (
-        f"{len(run.runs)} logs of {board.name}: {board.count} positions to {sd:.2g} mm "
-        "(median standard deviation, size and frame included)."
-    )
     between = 1e3 * run.pooled.between.reshape(-1, 3)
     more = ("", *(", ".join(f"{v:.3f}" for v in one) for one in between))
     note = "mm; between logs: of the positions as the motion shows them, without size and frame."
     pooled = _position_table("Pooled positions", board, run.total, "sd between logs", more, note)
     known = _known(run.total, run.gyros, board, request)
-    parts = [
+    first = (
         Section("Positions of all logs together", (pooled, known)),
         _agreement(run),
         Section("What repeats from log to log", (_repeats(run),)),
-        *sections.closing_sections(run.outcome),
-    ]
+    )
     title = f"{board.name} from {names}"
     worth = Worth("positions", f"± {1.96 * sd:.2g} mm", "95 %, median; size and frame included")
     card = sections.card_of(run.outcome, [worth])
-    return sections.calibration_document(title, head, parts, run, card)
+    return sections.calibration_document(title, run, card, first=first)
 
 
 def _agreement(run: BoardRun) -> Section:

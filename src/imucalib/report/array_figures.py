@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from imucalib.arrays import Array, Index
@@ -9,21 +11,20 @@ from imucalib.calibrators.array.motion.covariance import sd_of_few
 from imucalib.calibrators.array.motion.cross_fit import NORMAL_MAD
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.run import ArrayRun
-from imucalib.estimators.markov.convergence import autocorrelation
-from imucalib.report.render.document import Plot, Series, Table
+from imucalib.report.render.document import Plot, Series
 from imucalib.units import DEG, MG
 
-_HALF, _MOST = 1.1774, 2.6482  # radii that hold 50 % and 97 % of a plane Gaussian
+_MOST = 2.6482  # radius that holds 97 % of a plane Gaussian
 _BINS = 24  # of what residuals may follow, each with as many samples
 _SENSORS = (("gyro", "deg/s", DEG, 1), ("accelerometer", "mg", MG, 0))
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
 _FEWEST = 10  # samples below which a part is not shown
-_AXES = ("x (mm)", "y (mm)")
+_AXES, _ORDER = ("x (mm)", "y (mm)"), "IMU, in the board's order"
 
 
-def board_plots(run: ArrayRun) -> tuple[Plot | Table, ...]:
+def board_plots(run: ArrayRun) -> tuple[Plot, ...]:
     """Deviations from the drawing, and what more samples bring."""
-    return (_close_up(run), _deviations(run), *_growth(run))
+    return (_deviations(run), *_growth(run))
 
 
 def _sides(run: ArrayRun) -> dict[str, Index]:
@@ -100,39 +101,23 @@ def _join(label: str, rings: list[Array]) -> Series:
     return Series(label, line[:, 0], line[:, 1], "line")
 
 
-def _close_up(run: ArrayRun) -> Plot:
-    """All IMUs' deviations from the drawing in one place, to scale, with 97 % ellipses."""
-    off = 1e3 * (run.total.mean - run.board.drawn)
-    series = []
-    for label, side in _sides(run).items():
-        if rows := [int(k) for k in side if k > 0]:
-            names = tuple(run.board.imus[k] for k in rows)
-            series.append(Series(label, off[rows, 0], off[rows, 1], "points", names=names))
-            rings = [_ellipse(run, k, _MOST) + off[k, :2] for k in rows]
-            series.append(_join(f"{label}, 97 %", rings))
-    caption = (
-        f"Accelerometers relative to {run.board.imus[0]}, each about its drawn position at 0, 0; "
-        "what the sides share is where the accelerometer sits inside its package."
-    )
-    title = "Deviation in the plane of the board"
-    return Plot(title, *_AXES, tuple(series), caption, equal=True)
-
-
 def _deviations(run: ArrayRun) -> Plot:
     """Deviation from the drawing of every coordinate, with 95 % intervals."""
     off, half = 1e3 * (run.total.mean - run.board.drawn)[1:], 1.96e3 * run.total.sd[1:]
     x = np.arange(1.0, run.board.count)
     series = tuple(
-        Series.about(axis, x, off[:, k], half[:, k], "bars", names=run.board.imus[1:])
+        Series.from_half(
+            axis, x + 0.15 * (k - 1), off[:, k], half[:, k], "points", run.board.imus[1:]
+        )
         for k, axis in enumerate("xyz")
     )
     caption = f"Position minus drawing, relative to {run.board.imus[0]}, 95 % intervals."
-    return Plot("Deviation from the drawing", "IMU", "deviation (mm)", series, caption)
+    return Plot("Deviation from the drawing", _ORDER, "deviation (mm)", series, caption)
 
 
-def _growth(run: ArrayRun) -> tuple[Plot | Table, ...]:
-    """Median standard deviation of each axis against the number of samples, drawn and as Table II
-    of paper 001 has it; empty where there are few."""
+def _growth(run: ArrayRun) -> tuple[Plot, ...]:
+    """Median standard deviation of each axis against the number of samples, as Table II of paper
+    001 has it; empty where there are few."""
     state = run.state
     counts = [round(s * len(state.setup.inner)) for s in _SHARES]
     found = [(n, sd_of_few(state, n)) for n in counts if n >= _FEWEST]
@@ -150,9 +135,7 @@ def _growth(run: ArrayRun) -> tuple[Plot | Table, ...]:
         "samples, scaled to end at what is stated. Twice the precision takes four times the motion."
     )
     title = "Standard deviation against the samples used"
-    rows = tuple((f"{t:.0f}", *(f"{v:.2g}" for v in row)) for t, row in zip(n, sd, strict=True))
-    table = Table(title, ("T", "sd x", "sd y", "sd z"), rows, "rrrr", "mm, as drawn above.")
-    return Plot(title, "samples used", "sd (mm)", tuple(series), caption, log_y=True), table
+    return (Plot(title, "samples used", "sd (mm)", tuple(series), caption, log_y=True),)
 
 
 def residual_plots(run: ArrayRun) -> list[Plot]:
@@ -166,38 +149,25 @@ def residual_plots(run: ArrayRun) -> list[Plot]:
     binned = f"1.4826 MAD of a {_BINS}th of the samples, of all sensors."
     each = f"1.4826 MAD over the moving samples. {used}"
     order = np.arange(run.board.count, dtype=np.float64)
-
-    def against_rate(state: ArrayState, off: Array) -> tuple[Array, Array]:
-        return _bin(_speed(state) / DEG, off)
-
-    def against_force(state: ArrayState, off: Array) -> tuple[Array, Array]:
-        force = np.linalg.norm(state.sampled.force, axis=2).mean(axis=1)
-        return _bin(force[state.setup.inner], off)
-
-    def against_time(state: ArrayState, off: Array) -> tuple[Array, Array]:
-        return _bin(state.setup.t[state.setup.inner], off)
-
-    def of_each(_: ArrayState, off: Array) -> tuple[Array, Array]:
-        return order, NORMAL_MAD * np.median(np.abs(off), axis=(0, 2))
-
-    kinds = (
-        ("against the rate", against_rate, "speed of rotation (deg/s)", binned),
-        ("against force", against_force, "specific force (m/s²)", binned),
-        ("against time", against_time, "time in the log (s)", binned),
-        ("of each IMU", of_each, "IMU, in the board's order", each),
+    kinds: tuple[tuple[str, Callable[[ArrayState], Array] | None, str, str], ...] = (
+        ("against the rate", lambda s: _speed(s) / DEG, "speed of rotation (deg/s)", binned),
+        ("against force", _force, "specific force (m/s²)", binned),
+        ("against time", lambda s: s.setup.t[s.setup.inner], "time in the log (s)", binned),
+        ("of each IMU", None, _ORDER, each),
     )
     plots = []
-    for against, points, x_label, caption in kinds:
+    for against, follow, x_label, caption in kinds:
         for what, unit, size, k in _SENSORS:
-            series = [_noise(final, k, size)] if points is against_rate else []
+            series = [_noise(final, k, size)] if against.endswith("the rate") else []
             for name, state in (("before", base), ("after", final)):
-                off = (state.sampled.off.acceleration, state.sampled.off.rate)[k]
-                x, y = points(state, off[state.setup.inner])
-                names = run.board.imus if points is of_each else ()
-                series.append(Series(name, x, y / size, "points", names=names))
-            title = f"{what.capitalize()} residual {against}"
-            y_label = f"{what} residual ({unit})"
-            log = points is not of_each
+                off = (state.sampled.off.acceleration, state.sampled.off.rate)[k][state.setup.inner]
+                if follow is not None:
+                    series.append(Series(name, *_bin(follow(state), off, size), "points"))
+                    continue
+                mad = NORMAL_MAD * np.median(np.abs(off), axis=(0, 2)) / size
+                series.append(Series(name, order, mad, "points", names=run.board.imus))
+            title, y_label = f"{what.capitalize()} residual {against}", f"{what} residual ({unit})"
+            log = follow is not None
             plots.append(Plot(title, x_label, y_label, tuple(series), caption, log_y=log))
     return plots
 
@@ -218,38 +188,14 @@ def _speed(state: ArrayState) -> Array:
     return np.asarray(np.linalg.norm(state.sampled.rate, axis=1)[state.setup.inner])
 
 
-def _bin(x: Array, off: Array) -> tuple[Array, Array]:
-    """Median of x (n,) and 1.4826 MAD of residuals (n, K, 3) in bins of as many."""
+def _force(state: ArrayState) -> Array:
+    """(n,) m/s², of all accelerometers."""
+    force = np.linalg.norm(state.sampled.force, axis=2).mean(axis=1)
+    return np.asarray(force[state.setup.inner])
+
+
+def _bin(x: Array, off: Array, size: float) -> tuple[Array, Array]:
+    """Median of x (n,) and 1.4826 MAD of residuals (n, K, 3) over a size, in bins of as many."""
     parts = [p for p in np.array_split(np.argsort(x), _BINS) if p.size]
     middle = np.array([np.median(x[p]) for p in parts])
-    return middle, NORMAL_MAD * np.array([np.median(np.abs(off[p])) for p in parts])
-
-
-def chain_plots(run: ArrayRun) -> tuple[Plot, ...]:
-    """Trace, ranks and autocorrelation of the coordinate that mixes worst."""
-    worst = int(np.argmin(run.drawn.convergence.bulk))
-    name = f"{run.board.imus[1 + worst // 3]} {'xyz'[worst % 3]}"
-    draws = 1e3 * run.drawn.free[..., worst]
-    chains, n = draws.shape
-    x, lags = np.arange(n, dtype=np.float64), min(n - 1, 40)
-    ranks = np.argsort(np.argsort(draws.ravel())).reshape(chains, n)
-    edges = np.linspace(0, chains * n, 11)
-    bins = 0.5 * (edges[1:] + edges[:-1])
-    rho = autocorrelation(draws.T)[:lags]
-    trace, counts, decay = [], [], []
-    for c in range(min(chains, 4)):
-        label, count = f"chain {c + 1}", np.histogram(ranks[c], edges)[0].astype(float)
-        trace.append(Series(label, x, draws[c], "line"))
-        counts.append(Series(label, bins, count, "step"))
-        decay.append(Series(label, x[:lags], rho[:, c], "line"))
-    counts.append(Series("expected", bins[[0, -1]], np.full(2, n / len(bins)), "line"))
-    falls = "Falls to zero within a few draws."
-    drawn = (
-        ("Trace", "draw", "position (mm)", trace, "The coordinate with the least ESS."),
-        ("Ranks", "rank", "number of draws", counts, "Flat where the chains agree."),
-        ("Autocorrelation", "lag (draws)", "autocorrelation", decay, falls),
-    )
-    return tuple(
-        Plot(f"{what} of {name}", x_label, y_label, tuple(series), caption)
-        for what, x_label, y_label, series, caption in drawn
-    )
+    return middle, NORMAL_MAD * np.array([np.median(np.abs(off[p])) for p in parts]) / size

@@ -17,6 +17,12 @@ _SHORT = {
     **{f"approach_{axis}": "previous reading" for axis in "xyz"},
     **{f"{dial}_approach": "approach" for dial in ("inclination", "tool_face")},
 }
+_PARAMETERS: tuple[Column, ...] = (
+    ("parameter", "name", ""),
+    ("typical", "typical", "g"),
+    ("plausible", "plausible", "g"),
+    ("unit", "unit", ""),
+)
 
 
 def _parameters(effect: Effect) -> tuple[Parameter, ...]:
@@ -92,14 +98,6 @@ def _needs(effect: Effect) -> str:
     return ", ".join(effect.needs) or "nothing beside the readings"
 
 
-_PARAMETERS: tuple[Column, ...] = (
-    ("parameter", "name", ""),
-    ("typical", "typical", "g"),
-    ("plausible", "plausible", "g"),
-    ("unit", "unit", ""),
-)
-
-
 def _one(effect: Effect) -> Section:
     facts = (
         ("equation", effect.equation),
@@ -108,7 +106,7 @@ def _one(effect: Effect) -> Section:
         ("source", effect.source),
         ("to identify it", effect.identify),
     )
-    table = Table.of(_PARAMETERS, _parameters(effect), "Parameters")
+    table = Table.from_columns(_PARAMETERS, _parameters(effect), "Parameters")
     return Section("Effect", (Facts(facts), table))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.outcome import Run
 from imucalib.effects.forms import in_words
-from imucalib.report.render.document import Card, Certificate, Facts, Table
+from imucalib.report.render.document import Card, Facts, Section, Table
 from imucalib.significant_digits import format_with_sd
 from imucalib.units import MG
 
@@ -36,7 +36,7 @@ _REFERENCES = {
 }
 
 
-def certify(run: Run, card: Card) -> Certificate | None:
+def certify(run: Run, card: Card) -> Section | None:
     """Device, date, reference, conditions, method, input and what of it was changed or left out;
     every parameter with U, but for the terms of curves; each position raw and corrected. None of a
     run that is not decided: nobody signs two answers."""
@@ -77,7 +77,7 @@ def certify(run: Run, card: Card) -> Certificate | None:
         terms = ", ".join(f"{name} ({count} terms)" for name, count in curves.items())
         note += f" In calibration.yaml only: {terms}."
     results = Table("Results", ("", "value", "U", "unit"), rows, "lrrl", note)
-    return Certificate(Facts(tuple(facts)), results, _positions(run))
+    return Section("Calibration certificate", (Facts(tuple(facts)), results, *_positions(run)))
 
 
 def _list_changes(settings: Mapping[str, Any]) -> str:
@@ -87,23 +87,22 @@ def _list_changes(settings: Mapping[str, Any]) -> str:
     return "; ".join(said) or "nothing"
 
 
-def _positions(run: Run) -> Table:
-    """Every position as read and as corrected; without rows where they are not of one sensor, or
-    more than a page of paper serves."""
+def _positions(run: Run) -> tuple[Table, ...]:
+    """Every position as read and as corrected; nothing where they are not of one sensor, or more
+    than a page of paper serves."""
     fit, unit = run.outcome.fit, run.calibration.raw_unit
+    if fit is None or fit.observations.reading.shape[1] > 1 or fit.observations.n > _ROWS:
+        return ()
+    seen, zero = fit.observations, np.array(run.outcome.sensor.zero or (0.0,))
+    raw = seen.reading[:, 0] / run.calibration.raw_to_si + zero
+    corrected = fit.model.correct(fit.theta, seen.reading, seen.context)[:, 0] / MG
+    rows = tuple(
+        (name, *(f"{v:.7g}" for v in one), *(f"{v:.1f}" for v in two))
+        for name, one, two in zip(seen.label, raw, np.asarray(corrected), strict=True)
+    )
     header = ("", *(f"{a}, {unit}" for a in "xyz"), *(f"corrected {a}, mg" for a in "xyz"))
-    rows: tuple[tuple[str, ...], ...] = ()
-    if fit is not None and fit.observations.reading.shape[1] == 1 and fit.observations.n <= _ROWS:
-        seen = fit.observations
-        zero = np.array(run.outcome.sensor.zero or (0.0,))
-        raw = seen.reading[:, 0] / run.calibration.raw_to_si + zero
-        corrected = fit.model.correct(fit.theta, seen.reading, seen.context)[:, 0] / MG
-        rows = tuple(
-            (name, *(f"{v:.7g}" for v in one), *(f"{v:.1f}" for v in two))
-            for name, one, two in zip(seen.label, raw, np.asarray(corrected), strict=True)
-        )
     note = "Corrected: specific force in thousandths of standard gravity."
-    return Table("Positions, as read and as corrected", header, rows, "lrrrrrr", note)
+    return (Table("Positions, as read and as corrected", header, rows, "lrrrrrr", note),)
 
 
 def _conditions(calibration: Calibration, samples: int) -> list[str]:

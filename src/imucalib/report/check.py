@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,12 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.checking.check import SIGNIFICANT, Check, SensorCheck
 from imucalib.calibration.checking.misfit import BAD_REST
-from imucalib.calibration.checking.next_rests import MANY, NextRests
 from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.plain import fields
 from imucalib.data import plain
 from imucalib.posterior.closed_loop.changes import NOISE
 from imucalib.posterior.odds import SEEN_IN
 from imucalib.report.render.document import (
-    Block,
     Card,
     Document,
     Plot,
@@ -28,48 +26,47 @@ from imucalib.report.render.document import (
     Series,
     Table,
     Text,
-    Tone,
     Worth,
     capital,
 )
-from imucalib.significant_digits import format_components, per_cent, plus_minus, two_digits
+from imucalib.significant_digits import (
+    format_components,
+    list_likely,
+    per_cent,
+    plus_minus,
+    two_digits,
+)
 from imucalib.units import MG
 
 SCHEMA = "imucal/check/1"
-_TONE: dict[str, Tone] = {"still good": "ok", "changed": "bad", "undecided": "warning"}
-_HEADLINE = {
-    "still good": "Still good.",
-    "changed": "The sensor is not what the calibration says.",
-    "undecided": "Undecided: these readings are too few, or one of them is off.",
+_VERDICT = {
+    "still good": Text("Still good.", "ok"),
+    "changed": Text("The sensor is not what the calibration says.", "bad"),
+    "undecided": Text("Undecided: these readings are too few, or one of them is off.", "warning"),
 }
 #: Standard deviations on either side of what holds 95 %.
 _NORMAL_95 = 1.96
-#: Rests that a card names.
-_RESTS = 6
-#: Probability from which on another kind of change is named beside the likeliest.
-_NAMED = 0.1
+#: In the place of a change.
+_UNCHANGED = "none"
 _OFTEN = f"{100 * SEEN_IN:.0f} %"
 
 
 def check_document(check: Check, log: Path, calibration: Path, command: str = "") -> Document:
-    """Verdict and card, what changed or could have hidden, every rest, what to record next.
+    """Verdict and card, what changed or could have hidden, every rest.
 
     command : the line that was typed
     """
-    tested, array = _change_table(check), bool(check.sensors[0].name)
     parts = (
-        Section("What was tested", (_each(check) if array else tested,)),
-        Section("Every kind of change", (tested,) if array else (), brief=False),
-        Section("Readings", tuple(map(_readings, check.sensors)), brief=False),
+        Section("What was tested", (_change_table(check),)),
+        Section("Readings", tuple(map(_readings, check.sensors))),
         Section("Gyroscopes", _gyros(check)),
-        Section("Record this next", _following(check.following) if check.following else ()),
         Section("Notes", Text.sentences((*check.noise.words, *check.notes))),
     )
     typed = (("command", command),) if command else ()
     footer = (("calibration", str(calibration)), ("log", str(log)), *typed)
     title = f"Check of {calibration.name} with {log.name}"
     card = _card(check, calibration, command)
-    return Document(title, _verdict(check), parts, footer, card, drawn="--html")
+    return Document(title, _VERDICT[check.verdict], parts, footer, card, drawn="--html")
 
 
 def _how(check: Check) -> str:
@@ -87,14 +84,6 @@ def _least(check: Check, name: str) -> float:
     return max(sensor.sizes[name].seen for sensor in check.sensors)
 
 
-def _sizes(sizes: Iterable[tuple[str, float]]) -> str:
-    """Changes by kind, in words; an infinite one is none."""
-    return " or ".join(
-        f"{'no' if math.isinf(size) else f'{two_digits(size)} {FAMILIES[name]} of'} {name}"
-        for name, size in sizes
-    )
-
-
 def _odd(check: Check) -> list[str]:
     """What may be off of the sensors that need not have changed."""
     return [
@@ -103,32 +92,6 @@ def _odd(check: Check) -> list[str]:
         else f"{_of(s)}may have changed: {_others(s, ())}"
         for s in check.disturbed
     ]
-
-
-def _verdict(check: Check) -> Text:
-    """The headline."""
-    lead, tone = f"(unchanged: {per_cent(check.nothing)})", _TONE[check.verdict]
-    least = {name: _least(check, name) for name in check.limits}
-    if check.verdict == "changed":
-        return Text(f"Changed {lead}: {'; '.join(_changes(check))}.", tone)
-    if check.disturbed:
-        words = f"Undecided {lead}: {'; '.join(_odd(check))}."
-    elif check.verdict == "undecided":
-        short = " or ".join(
-            f"{limit:.2g} {FAMILIES[name]} of {name}"
-            for name, limit in check.limits.items()
-            if least[name] > limit
-        )
-        words = (
-            f"Undecided {lead}: nothing shows, but these readings could not have shown a change of "
-            f"{short}; they could see {_sizes(least.items())}."
-        )
-    else:
-        words = (
-            f"Still good {lead}: a change of {_sizes(least.items())} would have been told in "
-            f"{_OFTEN} of such checks."
-        )
-    return Text(words, tone)
 
 
 def _card(check: Check, calibration: Path, command: str) -> Card:
@@ -145,8 +108,7 @@ def _card(check: Check, calibration: Path, command: str) -> Card:
         words = "Nothing shows: the readings are as the calibration foretells them."
         found = (Text(words, "ok" if check.verdict == "still good" else "plain"),)
     steps = _to_do(check, shlex.quote(str(calibration)))
-    picture, headline = _picture(check), _HEADLINE[check.verdict]
-    return Card(tuple(worths), found, steps, command, headline=headline, picture=picture)
+    return Card(tuple(worths), found, steps, command, picture=_picture(check))
 
 
 def _picture(check: Check) -> Plot:
@@ -159,7 +121,7 @@ def _picture(check: Check) -> Plot:
     np.maximum.at(half, misfits.owner, _NORMAL_95 * np.sqrt(np.diag(misfits.covariance)) / MG)
     names = tuple(misfits.label[row] for row in misfits.owner)
     series = (
-        Series.about("unchanged, 95 %", rows, np.zeros(misfits.n), half, "band"),
+        Series.from_half("unchanged, 95 %", rows, np.zeros(misfits.n), half, "band"),
         Series("reading", rows[misfits.owner], misfits.value / MG, "points", names=names),
     )
     what = "each axis" if misfits.directed else "|a|"
@@ -181,9 +143,8 @@ def _to_do(check: Check, calibration: str) -> tuple[str, ...]:
     if check.verdict != "undecided":
         return (f"Go on with it: `imucal apply {calibration} RECORDING -o corrected.mcap`.",)
     if following is not None and following.enough:
-        rests = "; ".join(map(_attitude, following.direction[:_RESTS]))
-        more = "; ..." if len(following.direction) > _RESTS else ""
-        return (f"Record these rests too, and check all of them together: {rests}{more}.",)
+        rests = "; ".join(map(_attitude, following.direction))
+        return (f"Record these rests too, and check all of them together: {rests}.",)
     many = None if following is None else following.many
     lead = "No recording decides this" if many is None else f"It would take about {many} rests"
     return (f"{lead}: calibrate again, or accept a wider limit (--limit).",)
@@ -214,9 +175,8 @@ def _causes(sensor: SensorCheck) -> str:
 
 def _others(sensor: SensorCheck, told: Sequence[str]) -> str:
     """What else may have changed, with its probability, likeliest first."""
-    share = {n: sensor.answer.of(n) for n in (*sensor.sizes, BAD_REST, NOISE) if n not in told}
-    likely = sorted((n for n, p in share.items() if p >= _NAMED), key=lambda n: -share[n])
-    return ", ".join(f"{name} {per_cent(share[name])}" for name in likely)
+    names = (n for n in (*sensor.sizes, BAD_REST, NOISE) if n not in told)
+    return list_likely({n: sensor.answer.of(n) for n in names})
 
 
 def _sized(sensor: SensorCheck, name: str) -> str:
@@ -239,28 +199,9 @@ def _attitude(direction: Array) -> str:
     return f"{('', 'edge ', 'corner ')[len(axes) - 1]}{' '.join(axes)} up"
 
 
-def _each(check: Check) -> Table:
-    """An array's IMUs, a row each."""
-    rows = tuple(
-        (
-            s.name,
-            per_cent(s.answer.nothing),
-            _size(s, "bias") or "open",
-            two_digits(s.sizes["bias"].seen),
-        )
-        for s in check.sensors
-    )
-    limit = check.limits.get("bias")
-    more = "" if limit is None else f"; limit {limit:.2g} mg, {_how(check)}"
-    note = f"Could see: change of bias, mg, told in {_OFTEN} of such checks{more}."
-    header = ("sensor", "unchanged", "change of bias", "could see")
-    tones = Table.marked("bad", (s in check.changed for s in check.sensors))
-    return Table("", header, rows, "lrlr", note, tones)
-
-
 def _change_table(check: Check) -> Table:
     several = bool(check.sensors[0].name)
-    every = [(s, n) for s in check.sensors for n in (*s.sizes, BAD_REST, NOISE)]
+    every = [(s, n) for s in check.sensors for n in (_UNCHANGED, *s.sizes, BAD_REST, NOISE)]
 
     def row(sensor: SensorCheck, name: str) -> tuple[str, ...]:
         limit, size = check.limits.get(name), sensor.sizes.get(name)
@@ -268,11 +209,13 @@ def _change_table(check: Check) -> Table:
         if size is not None:
             estimate = _size(sensor, name) or "open"
             shown = "none" if math.isinf(size.seen) else two_digits(size.seen)
-        cells = (name, per_cent(sensor.answer.of(name)), estimate, shown)
+        answer = sensor.answer
+        share = answer.nothing if name == _UNCHANGED else answer.of(name)
+        cells = (name, per_cent(share), estimate, shown)
         last = ("-" if limit is None else f"{limit:.2g}", FAMILIES.get(name, ""))
         return (*[sensor.name] * several, *cells, *last)
 
-    tones = Table.marked("bad", (n in s.causes for s, n in every))
+    tones = Table.mark_rows("bad", (n in s.causes for s, n in every))
     note = (
         "There: probability, whatever else changed. Could see: change in the direction that shows "
         f"least, told in {_OFTEN} of such checks; of unchanged sensors at most "
@@ -306,7 +249,7 @@ def _readings(sensor: SensorCheck) -> Table:
     header = ("reading", "direction", "misfit, mg", "sd, mg", "z")
     note = "Reading minus what the calibration foretells; sd: of an unchanged sensor."
     return Table(
-        title, header, rows, "llrrr", note, Table.marked("warning", np.abs(z[worst]) > 3.0)
+        title, header, rows, "llrrr", note, Table.mark_rows("warning", np.abs(z[worst]) > 3.0)
     )
 
 
@@ -323,32 +266,9 @@ def _gyros(check: Check) -> tuple[Table, ...]:
         "Gyroscopes move at every switching on: it counts as changed where it is likelier beyond "
         "a limit than within (--limit 0.5deg/s)."
     )
-    tones = Table.marked("warning", (s in check.drifted for s, _ in resting))
+    tones = Table.mark_rows("warning", (s in check.drifted for s, _ in resting))
     header = ("sensor", "x", "y", "z", "beyond limit")[: len(rows[0]) if rows else 0]
     return (Table("", header, rows, "lrrrr"[: len(header)], note, tones),) if rows else ()
-
-
-def _following(following: NextRests) -> tuple[Block, ...]:
-    count, seen = len(following.direction), _sizes(following.seen.items())
-    if following.enough:
-        more = f"{count} more rest{'s' * (count != 1)}" if count > 1 else "One more rest"
-        words = f"{more} would decide: together with these they could see {seen}."
-        rows = tuple((str(k), _attitude(d)) for k, d in enumerate(following.direction, start=1))
-        note = "Up: the axis that then reads +g."
-        return Text(words), Table("", ("rest", "attitude"), rows, "rl", note)
-    if following.many is not None:
-        words = (
-            f"{count} more rests could see {seen}, which is not enough; about {following.many}, "
-            "all round, would be: as many as a new calibration takes, which also mends what has "
-            "changed."
-        )
-    else:
-        words = (
-            f"No recording decides this: {count} more rests could see {seen}, and {MANY[-1]} are "
-            "not enough. What the calibration itself does not know is larger: calibrate again, or "
-            "accept a wider limit."
-        )
-    return (Text(words, "warning"),)
 
 
 def check_dict(check: Check, log: str, calibration: str, sha256: str) -> dict[str, Any]:

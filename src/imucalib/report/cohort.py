@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
@@ -14,8 +13,6 @@ from imucalib.report.render.html import SIGNS, WORDS
 from imucalib.report.render.svg import render_svg
 from imucalib.report.render.templates import fill
 
-#: Width of a row's picture, and what its marks stay off the edge.
-_WIDTH, _EDGE = 90.0, 5.0
 _RANK: dict[Tone, int] = {"bad": 0, "warning": 1, "ok": 2, "plain": 3}
 #: Column of the table -> heading.
 _NUMBERS = {
@@ -38,8 +35,6 @@ def cohort_html(rows: Iterable[Mapping[str, Any]], title: str) -> str:
     """
     shown = ("recording", "use", "why", "what_to_do", "error_unit", *_NUMBERS)
     table = [{name: row.get(name) for name in shown} for row in rows]
-    errors = [v for row in table for v in (row.get("error_before"), row.get("error_after")) if v]
-    ends = (min(errors), max(errors)) if errors else (1.0, 1.0)
     units = sorted({str(row["error_unit"]) for row in table if row.get("error_unit")})
     unit = f" ({units[0]})" if len(units) == 1 else ""
     ordered = sorted(table, key=lambda row: (_RANK[_tone(row)], -(row.get("error_after") or 0.0)))
@@ -50,10 +45,9 @@ def cohort_html(rows: Iterable[Mapping[str, Any]], title: str) -> str:
         "title": title,
         "verdict": f"{len(table)} recordings: {good} to use, {doubted} with care, {bad} not.",
         "tone": "bad" if bad == len(table) else "warning" if bad or doubted else "ok",
-        "header": ("recording", "use", "why", *heads, "error"),
-        "rows": [_row(row, ends, len(units) > 1, numbers) for row in ordered],
+        "header": ("recording", "use", "why", *heads),
+        "rows": [_row(row, len(units) > 1, numbers) for row in ordered],
         "plot": _plot(table, unit),
-        "ends": (f"{ends[0]:.2g}", f"{ends[1]:.2g}{unit}"),
     }
     return fill("cohort.html.j2", page=page, signs=SIGNS, words=WORDS, svg=render_svg)
 
@@ -62,30 +56,18 @@ def _tone(row: Mapping[str, Any]) -> Tone:
     return _TONES[str(row["use"])]
 
 
-def _row(
-    row: Mapping[str, Any],
-    ends: tuple[float, float],
-    mixed: bool,
-    numbers: Iterable[str],
-) -> dict[str, Any]:
+def _row(row: Mapping[str, Any], mixed: bool, numbers: Iterable[str]) -> dict[str, Any]:
     """What the cells of one recording show.
 
-    ends : of the pictures' scale; mixed : whether errors have several units, so that each says its
-    own; numbers : columns before the picture
+    mixed : whether errors have several units, so that each says its own; numbers : of which columns
     """
-    tone, unit = _tone(row), str(row.get("error_unit") or "")
-    before, after = (row.get(f"error_{name}") for name in ("before", "after"))
-    known = bool(before and after)
+    unit = str(row.get("error_unit") or "")
     return {
         "path": str(row["recording"]),
         "name": PurePath(str(row["recording"])).name,
-        "tone": tone,
+        "tone": _tone(row),
         "use": row["use"],
         "numbers": [_shown(row.get(k), unit if mixed and "error" in k else "") for k in numbers],
-        "before": _place(before, ends) if before and known else None,
-        "after": _place(after, ends) if after and known else None,
-        "picture": f"{_shown(before)} before, {_shown(after)} {unit} after" if known else "",
-        "order": "" if after is None else f"{after:.6g}",
         "why": _why(row),
     }
 
@@ -100,13 +82,6 @@ def _shown(value: Any, unit: str = "") -> str:
     if value is None:
         return ""
     return f"{value:{'.3g' if abs(value) < 999.5 else '.0f'}} {unit}".strip()
-
-
-def _place(value: float, ends: tuple[float, float]) -> float:
-    """Of an error on the pictures' scale, which is logarithmic."""
-    low, high = (math.log(end) for end in ends)
-    share = (math.log(value) - low) / (high - low) if high > low else 0.5
-    return _EDGE + share * (_WIDTH - 2.0 * _EDGE)
 
 
 def _plot(table: Sequence[Mapping[str, Any]], unit: str) -> Plot | None:

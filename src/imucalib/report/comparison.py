@@ -11,13 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.calibration.comparison.basis import Worst
-from imucalib.calibration.comparison.compare import (
-    SIGNIFICANT,
-    CalibrationDrift,
-    Comparison,
-    Slope,
-)
+from imucalib.calibration.comparison.compare import SIGNIFICANT, CalibrationDrift, Comparison, Slope
 from imucalib.calibration.plain import fields
 from imucalib.data import plain
 from imucalib.report.plots import band
@@ -29,13 +23,13 @@ from imucalib.report.render.document import (
     Series,
     Table,
     Text,
-    Tone,
     Worth,
     capital,
 )
 from imucalib.significant_digits import (
     format_components,
     format_with_sd,
+    list_likely,
     per_cent,
     plus_minus,
     two_digits,
@@ -44,22 +38,15 @@ from imucalib.significant_digits import (
 SCHEMA = "imucal/comparison/1"
 #: Columns of single calibrations that a table has room for.
 _ROOM = 3
-#: Probability from which on a kind of difference is named.
-_NAMED = 0.1
 _HALF = 1.959964
-_QUANTITY = {
-    "mg": "the size of the corrected force",
-    "deg": "its direction",
-    "mm": "the position",
-    "deg/s": "the bias of the gyroscope",
-}
 _WORTH = {"mg": "force", "deg": "direction", "mm": "place", "deg/s": "rate"}
-_HEADLINE = {
-    "agree": "They agree within the limit.",
-    "differ": "They differ by more than the limit.",
-    "undecided": "Undecided: they differ by more than the limit, but each is no surer than that.",
+_VERDICT = {
+    "agree": Text("They agree within the limit.", "ok"),
+    "differ": Text("They differ by more than the limit.", "bad"),
+    "undecided": Text(
+        "Undecided: they differ by more than the limit, but each is no surer than that.", "warning"
+    ),
 }
-_TONE: dict[str, Tone] = {"agree": "ok", "differ": "bad", "undecided": "warning"}
 
 
 def comparison_document(found: Comparison, paths: Sequence[Path], command: str = "") -> Document:
@@ -68,7 +55,6 @@ def comparison_document(found: Comparison, paths: Sequence[Path], command: str =
     paths : of the calibrations; command : the line that was typed
     """
     parts = (
-        Section("What it means", (_meanings(found),)),
         Section("Parameters", (Text(found.basis.words), _parameters(found))),
         Section("Between calibrations", _scatter(found)),
         Section("Drift", _drift(found)),
@@ -76,7 +62,9 @@ def comparison_document(found: Comparison, paths: Sequence[Path], command: str =
     count, footer = len(found.names), (("command", command),)
     title = f"Comparison of {', '.join(found.names) if count <= _ROOM else f'{count} calibrations'}"
     card = _card(found, paths, command)
-    return Document(title, _verdict(found), parts, footer[: bool(command)], card, drawn="--html")
+    return Document(
+        title, _VERDICT[found.verdict], parts, footer[: bool(command)], card, drawn="--html"
+    )
 
 
 def _how(found: Comparison) -> str:
@@ -84,66 +72,30 @@ def _how(found: Comparison) -> str:
     return "as stated" if found.stated else f"{SIGNIFICANT:g} times the largest stated sd"
 
 
-def _verdict(found: Comparison) -> Text:
-    proof = f"as stated: {per_cent(found.agreement.answer.nothing)}"
-    worst = "; ".join(_words(found, m) for m in found.meanings)
-    if found.verdict == "differ":
-        which = f" {_odd(found)}" if found.odd else ""
-        words = f"They differ beyond the limit ({proof}): {worst}.{which}"
-    elif found.verdict == "undecided":
-        kinds = " and ".join(_QUANTITY[m.unit] for m in found.meanings if m.beyond)
-        words = (
-            f"Undecided ({proof}): {kinds} differs by more than the limit, within what the files "
-            f"state themselves: {worst}. Calibrate from more positions."
-        )
-    else:
-        lead = "They agree" if not found.differ else "They differ, but within the limit"
-        words = f"{lead} ({proof}): {worst}."
-    return Text(words, _TONE[found.verdict])
-
-
-def _odd(found: Comparison) -> str:
-    return f"Unlike the others: {', '.join(found.odd)}."
-
-
-def _words(found: Comparison, worst: Worst) -> str:
-    size = two_digits(worst.value) if math.isnan(worst.sd) else plus_minus(worst.value, worst.sd)
-    pair = f" between {' and '.join(found.names[k] for k in worst.pair)}" * (len(found.names) > 2)
-    name = f" ({worst.sensor})" if worst.sensor else ""
-    return f"{_QUANTITY[worst.unit]}{name} by {size} {worst.unit} at most{pair}"
-
-
 def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
     """To how much the calibrations agree, what shows, and what to do."""
-    worths = []
+    worths, several = [], len(found.names) > 2
     for worst in found.meanings:
         unit = worst.unit
         size = plus_minus(worst.value, worst.sd) if worst.sd > 0.0 else two_digits(worst.value)
         limit = f"limit {worst.limit:.2g} {unit}, {_how(found)}"
-        detail = f"at most, where the force is {format_components(worst.attitude)}; {limit}"
+        pair = f" between {' and '.join(found.names[k] for k in worst.pair)}" * several
+        detail = f"at most{pair}, where the force is {format_components(worst.attitude)}; {limit}"
         sensor = f", {worst.sensor}" if worst.sensor else ""
         worths.append(Worth(f"difference of {_WORTH[unit]}{sensor}", f"{size} {unit}", detail))
+    named = list_likely(found.differing) if found.differ else ""
     words = (
         f"The files differ by {'more' if found.differ else 'no more'} than they state "
-        f"({per_cent(found.agreement.answer.nothing)} that nothing does){_differing(found)}."
+        f"({per_cent(found.agreement.answer.nothing)} that nothing does){named and ': '}{named}."
     )
-    said = [Text(words, _TONE[found.verdict])]
+    said = [Text(words, _VERDICT[found.verdict].tone)]
     if found.odd:
-        said.append(Text(_odd(found), "warning"))
+        said.append(Text(f"Unlike the others: {', '.join(found.odd)}.", "warning"))
     if found.drift is not None:
         said.append(_due(found.drift))
     said += Text.sentences(found.notes, "warning")
-    steps, headline = _to_do(found, paths), _HEADLINE[found.verdict]
-    chart = _control_chart(found)
-    return Card(tuple(worths), tuple(said), steps, command, headline=headline, picture=chart)
-
-
-def _differing(found: Comparison) -> str:
-    """What differs, with its probability, likeliest first."""
-    share = found.differing
-    likely = sorted((k for k, p in share.items() if p >= _NAMED), key=lambda k: -share[k])
-    named = ", ".join(f"{kind} {per_cent(share[kind])}" for kind in likely)
-    return f": {named}" if found.differ and named else ""
+    steps, chart = _to_do(found, paths), _control_chart(found)
+    return Card(tuple(worths), tuple(said), steps, command, picture=chart)
 
 
 def _to_do(found: Comparison, paths: Sequence[Path]) -> tuple[str, ...]:
@@ -165,27 +117,6 @@ def _to_do(found: Comparison, paths: Sequence[Path]) -> tuple[str, ...]:
     return tuple(steps)
 
 
-def _meanings(found: Comparison) -> Table:
-    named = any(m.sensor for m in found.meanings)
-
-    def row(worst: Worst) -> tuple[str, ...]:
-        pair = " - ".join(found.names[j] for j in reversed(worst.pair))
-        size = (
-            format_with_sd(worst.value, worst.sd)
-            if worst.sd > 0.0
-            else (two_digits(worst.value), "-")
-        )
-        last = (f"{worst.limit:.2g}", worst.unit, format_components(worst.attitude))
-        return (_QUANTITY[worst.unit], *[worst.sensor] * named, pair, *size, *last)
-
-    note = f"The worst attitude of all, as the direction of the force. Limit: {_how(found)}."
-    last = ("pair", "at most", "sd", "limit", "unit", "attitude")
-    header = ("difference of", *["sensor"] * named, *last)
-    tones = Table.marked("bad" if found.differ else "warning", (m.beyond for m in found.meanings))
-    rows = tuple(map(row, found.meanings))
-    return Table("", header, rows, "l" + "l" * named + "lrrrll", note, tones)
-
-
 def _parameters(found: Comparison) -> Table:
     basis, fit, count = found.basis, found.agreement, len(found.names)
     sd = np.sqrt(np.einsum("kii->ki", basis.covariance))
@@ -205,7 +136,7 @@ def _parameters(found: Comparison) -> Table:
     if count > _ROOM:
         note += f" Shown are the first {_ROOM} of {count}; all are in the JSON."
     header = ("parameter", *found.names[:_ROOM], "z")
-    return Table("", header, rows, "", note, Table.marked("warning", np.abs(z) > 3.0))
+    return Table("", header, rows, "", note, Table.mark_rows("warning", np.abs(z) > 3.0))
 
 
 def _scatter(found: Comparison) -> tuple[Text | Table, ...]:
@@ -236,9 +167,9 @@ def _drift(found: Comparison) -> tuple[Text | Table, ...]:
         (name, *format_with_sd(s.value, s.half), f"{unit}/day")
         for name, unit, s in zip(basis.names, basis.units, drift.slopes, strict=True)
     )
-    tones = Table.marked("warning", (s.shown for s in drift.slopes))
+    tones = Table.mark_rows("warning", (s.shown for s in drift.slopes))
     table = Table("", ("parameter", "drift", "± 95 %", "unit"), rows, "lrrl", "", tones)
-    return Text(f"{capital(drift.dates.words)}."), _due(drift), table
+    return Text(f"{capital(drift.dates.words)}."), table
 
 
 def _due(drift: CalibrationDrift) -> Text:
@@ -287,7 +218,7 @@ def _control_chart(found: Comparison) -> Plot | None:
     series = (
         band("limit about the mean", x, force.limit, level),
         Series("mean", ends, np.full(2, level), "line"),
-        Series.about("calibrations, 95 %", x, value, _HALF * sd, "points", tuple(found.names)),
+        Series.from_half("calibrations, 95 %", x, value, _HALF * sd, "points", tuple(found.names)),
     )
     where = ", ".join(f"{v:+.2f}" for v in force.attitude)
     caption = (

@@ -64,7 +64,7 @@ def _session_plot(one: Between, names: tuple[str, ...]) -> Plot:
     at = np.arange(1.0, len(names) + 1.0)
     axes = enumerate(zip("xyz", one.offsets.T, one.offsets_sd.T, strict=True))
     series = tuple(
-        Series.about(axis, at + 0.08 * (k - 1), off, sd, "bars", names)
+        Series.from_half(axis, at + 0.08 * (k - 1), off, sd, "points", names)
         for k, (axis, off, sd) in axes
     )
     title, y_label = f"{one.effect.capitalize()} of each session", f"{one.effect} less the mean"

@@ -41,7 +41,7 @@ def design_document(plan: PositionPlan, *, answer: bool = False) -> Document:
     angles = zip(plan.inclination, plan.tool_face, strict=True)
     rows = tuple((str(k), f"{i:.1f}", f"{t:.1f}") for k, (i, t) in enumerate(angles, start=1))
     positions = Table("", ("row", "inclination", "tool-face"), rows, "rrr")
-    own = Section("Positions", (positions,), brief=answer, kept=answer)
+    own = Section("Positions", (positions,), kept=answer)
     quality = Section("Quality", (*open_, _parameters(plan), Text(setting)))
     more = Section("Positions to add", (_additions(plan),))
     order = (own, quality, more) if answer else (more, quality, own)

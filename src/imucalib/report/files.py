@@ -54,7 +54,7 @@ class Report:
 
     @cached_property
     def content(self) -> dict[str, Any]:
-        return describe_run(self.run) | shown_dict(self.document)
+        return describe_run(self.run) | page_dict(self.document)
 
 
 def demand_folder(folder: Path, inputs: Sequence[Path]) -> None:
@@ -110,7 +110,7 @@ def describe_page(document: Document) -> Shown:
     return Shown(shown, tuple(figures))
 
 
-def shown_dict(document: Document) -> dict[str, Any]:
+def page_dict(document: Document) -> dict[str, Any]:
     """The same as plain types."""
     return describe_page(document).as_dict()
 

@@ -15,6 +15,7 @@ from imucalib.effects import named
 from imucalib.effects.forms import in_words
 from imucalib.report.render.document import (
     Card,
+    Column,
     Document,
     Plot,
     Section,
@@ -29,6 +30,13 @@ from imucalib.report.render.document import (
 from imucalib.significant_digits import per_cent, plus_minus, size_with_unit
 
 _TONE: dict[str, Tone] = {"explained": "ok", "suspected": "warning", "unexplained": "warning"}
+_SHARED: tuple[Column, ...] = (
+    ("effect", "effect", ""),
+    ("probability", lambda one: per_cent(one.pooled.probability), ">"),
+    ("foretold, nats", lambda one: one.nats.sum(), "+.1f"),
+    ("devices that gain", lambda one: f"{np.sum(one.nats > 0.0)} of {len(one.able)}", ">"),
+    ("rivals", lambda one: ", ".join(one.rivals) or "none", ""),
+)
 #: What an error of a device is an error of.
 _HOW = {
     "lab": "rms on positions held out",
@@ -37,91 +45,43 @@ _HOW = {
 
 
 def fleet_document(fleet: Fleet) -> Document:
-    """Headline and card first."""
-    outlying = (
-        f"{o.device}: {o.parameter} is {plus_minus(o.value, o.sd, o.unit)}, the others "
-        f"{o.mean:.3g} with a scatter of {o.scatter:.2g} (chance {o.p:.1g}): another kind, another "
-        "unit, or a fault."
-        for o in fleet.outliers
-    )
+    """Verdict and card first."""
     kept = (r for m in fleet.members for r in m.recordings if r.kept)
     notes = (*fleet.notes, *(f"{r.name} stays as it was calibrated: {r.kept}." for r in kept))
     each = _each(fleet)
     parts = (
         Section("What the devices share", _shared(fleet)),
         Section("Devices", each[:1]),
-        Section("Between devices", _spread(fleet), brief=False),
-        Section("Not of the kind", Text.each(outlying, "warning")),
-        Section("What was tried", _try(fleet), brief=False),
-        Section("Not calibrated", Text.each((f"{n}: {why}" for n, why in fleet.failed), "bad")),
-        Section("Notes", Text.each(notes)),
+        Section("Between devices", _spread(fleet)),
+        Section("What was tried", _try(fleet)),
+        Section("Notes", Text.paragraphs(notes)),
     )
-    command = fleet.settings.command
-    footer = (("command", command),) if command else ()
-    title, verdict = f"Fleet of {len(fleet.members)} devices", _verdict(fleet)
-    uses, headline = _uses(fleet), _headline(fleet)
-    card = Card(
-        _worth(fleet),
-        _find(fleet),
-        _to_do(fleet),
-        command,
-        uses,
-        headline,
-        picture=each[1] if each else None,
-    )
-    return Document(title, verdict, parts, footer, card)
+    footer = (("command", fleet.command),) if fleet.command else ()
+    picture = each[1] if each else None
+    card = Card(_worth(fleet), _find(fleet), _to_do(fleet), fleet.command, _uses(fleet), picture)
+    title = f"Fleet of {len(fleet.members)} devices"
+    return Document(title, _verdict(fleet), parts, footer, card)
 
 
 def _verdict(fleet: Fleet) -> Text:
-    search, gain, lead = fleet.search, fleet.difference, fleet.verdict.capitalize()
-    found = search.found if search else ()
-    names = ", ".join(" or ".join((one.effect, *one.rivals)) for one in found)
-    if search is None:
-        text = f"{len(fleet.members)} devices compared by their parameters; nothing was searched."
-    elif names:
-        text = f"{lead}: {names}, in every device with a size of its own."
-        if gain is not None and not np.isnan(gain.nats):
-            text += (
-                f" The others foretell {gain.parts} devices by {gain.nats:+.1f} nats in sum "
-                f"(95 %: at least {gain.nats_low:+.1f}); error of a posture {gain.before:.3g} to "
-                f"{gain.after:.3g} mg."
-            )
-        elif gain is not None:
-            text += (
-                f" Held-out error {gain.before:.3g} to {gain.after:.3g} mg, less by "
-                f"{gain.gain:.3g} mg (95 %: {gain.low:.2g} to {gain.high:.2g})."
-            )
-    elif search.refused:
-        stood = " and ".join(name for name, _ in search.refused)
-        text = (
-            f"{lead}: {stood} stands out, but what some devices say of it does not "
-            "foretell the others."
-        )
-    else:
-        text = f"{lead}: no effect is shared."
-    return Text(text, _TONE.get(fleet.verdict, "plain"))
-
-
-def _headline(fleet: Fleet) -> str:
-    """The verdict without its figures."""
-    if fleet.search is None:
-        return f"{len(fleet.members)} devices compared by their parameters."
-    names = ", ".join(" or ".join(map(in_words, (f.effect, *f.rivals))) for f in fleet.search.found)
-    if not names:
-        return "Nothing that the devices share shows."
-    return f"{fleet.verdict.capitalize()}: all devices have {names}."
+    """Without figures: these are on the card."""
+    names = ", ".join(" or ".join(map(in_words, (f.effect, *f.rivals))) for f in fleet.found)
+    words = "Nothing that the devices share shows."
+    if names:
+        words = f"{fleet.verdict.capitalize()}: all devices have {names}."
+    elif fleet.search is None:
+        words = f"{len(fleet.members)} devices compared by their parameters."
+    return Text(words, _TONE.get(fleet.verdict, "plain"))
 
 
 def _uses(fleet: Fleet) -> tuple[Use, ...]:
     """What a device's own calibration, and the fleet's, are for."""
-    uses = []
-    made = (m.name for m in fleet.members if any(r.calibration for r in m.recordings))
-    if name := next(made, ""):
-        own = f"{{folder}}/{name}/calibration.yaml"
-        purpose = f"Correct a recording of {name}, and so for each device"
-        uses.append(Use(purpose, ("apply", own, "RECORDING", "-o", "corrected.mcap")))
+    first = fleet.members[0]
+    own = f"{{folder}}/{first.folder_of(first.recordings[0])}/calibration.yaml"
+    purpose = f"Correct a recording of {first.name}, and so for each device"
+    uses = [Use(purpose, ("apply", own, "RECORDING", "-o", "corrected.mcap"))]
     if fleet.following:
-        calibrator = fleet.settings.calibrator
+        calibrator = fleet.calibrator
         wanted = "TABLE" if calibrator == "lab" else "RECORDING"
         command = (calibrator, wanted, "--fleet", "{folder}/fleet.yaml")
         uses.append(Use("Calibrate another device of the kind", command))
@@ -139,7 +99,7 @@ def _worth(fleet: Fleet) -> tuple[Worth, ...]:
             size = size_with_unit(float(np.sqrt(np.mean(own**2))), unit)
             made.append(Worth(f"{len(own)} {what}", size, "between devices, rms"))
         return tuple(made)
-    worst, how = max(members, key=lambda m: m.final), _HOW[fleet.settings.calibrator]
+    worst, how = max(members, key=lambda m: m.final), _HOW[fleet.calibrator]
     detail = f"{worst.name}, {how}; alone {worst.base:.3g}"
     one = Worth("the worst device", f"{worst.final:.3g} mg", detail)
     gain = fleet.difference
@@ -153,7 +113,7 @@ def _worth(fleet: Fleet) -> tuple[Worth, ...]:
 
 def _find(fleet: Fleet) -> tuple[Text, ...]:
     tone, lines = _TONE.get(fleet.verdict, "plain"), []
-    for one in fleet.search.found if fleet.search else ():
+    for one in fleet.found:
         rivals = f"; or {' or '.join(map(in_words, one.rivals))}" if one.rivals else ""
         words = (
             f"{in_words(one.effect).capitalize()}, in every device with a size of its own: "
@@ -166,9 +126,10 @@ def _find(fleet: Fleet) -> tuple[Text, ...]:
             what = "; ".join(f"{name} stands out, but {why}" for name, why in fleet.search.refused)
             what = f"{capital(what)}."
         lines.append(Text(what if fleet.search else "No effect was searched for.", tone))
-    if fleet.outliers:
-        odd = dict.fromkeys(o.device for o in fleet.outliers)
-        lines.append(Text(f"Not of the kind: {', '.join(odd)}.", "warning"))
+    for o in fleet.outliers:
+        size = f"{o.parameter} is {plus_minus(o.value, o.sd, o.unit)}, the others {o.mean:.3g}"
+        words = f"{size} with a scatter of {o.scatter:.2g} (chance {o.p:.1g})"
+        lines.append(Text(f"Not of the kind: {o.device}, whose {words}.", "warning"))
     if fleet.failed:
         failed = ", ".join(name for name, _ in fleet.failed)
         lines.append(Text(f"Not calibrated: {failed}.", "bad"))
@@ -181,7 +142,7 @@ def _to_do(fleet: Fleet) -> tuple[str, ...]:
         for name in dict.fromkeys(o.device for o in fleet.outliers)
     ]
     steps += [f"Mend {name}: {why.rstrip('.')}." for name, why in fleet.failed]
-    lab = fleet.settings.calibrator == "lab"
+    lab = fleet.calibrator == "lab"
     if fleet.verdict in ("suspected", "unexplained"):
         more = "positions of each: `imucal design TABLE`" if lab else "recordings of each"
         steps.append(f"Record more devices, or more {more}.")
@@ -189,22 +150,11 @@ def _to_do(fleet: Fleet) -> tuple[str, ...]:
 
 
 def _shared(fleet: Fleet) -> tuple[Table, ...]:
-    rows = tuple(
-        (
-            one.effect,
-            per_cent(one.pooled.probability),
-            f"{one.nats.sum():+.1f}",
-            f"{int(np.sum(one.nats > 0.0))} of {len(one.able)}",
-            ", ".join(one.rivals) or "none",
-        )
-        for one in (fleet.search.found if fleet.search else ())
-    )
-    header = ("effect", "probability", "foretold, nats", "devices that gain", "rivals")
     note = (
         "Probability: that the fleet lacks this, and nothing else beside what stands above. "
         "Foretold: what each device's data gain by the size that the other devices give the effect."
     )
-    return (Table("", header, rows, "lrrrl", note),) if rows else ()
+    return (Table.from_columns(_SHARED, fleet.found, note=note),) if fleet.found else ()
 
 
 def _each(fleet: Fleet) -> tuple[()] | tuple[Table, Plot]:
@@ -218,11 +168,11 @@ def _each(fleet: Fleet) -> tuple[()] | tuple[Table, Plot]:
     )
     at, names = np.arange(1.0, len(shown) + 1.0), tuple(m.name for m in shown)
     series = [Series("alone", at, np.array([m.base for m in shown]), "rings", names=names)]
-    if fleet.search and fleet.search.found:
+    if fleet.found:
         final = np.array([m.final for m in shown])
         series.append(Series("with the fleet", at, final, "points", names=names))
     error, caption = "error beside the walk", "Effects"
-    if fleet.settings.calibrator == "lab":
+    if fleet.calibrator == "lab":
         error, caption = "held-out error", "Each position predicted without it; effects"
     caption += " chosen and sized by the other devices."
     title = f"{error.capitalize()} of each device"
@@ -240,7 +190,7 @@ def _spread(fleet: Fleet) -> tuple[Table, ...]:
         between = _scatter(s.sessions, s.unit) if s.sessions else "-"
         rows.append((s.name, mean, _scatter(s.interval, s.unit), *[between] * twice))
     # Of effects that were found: the mean size, and how much devices differ by what they say.
-    for one in fleet.search.found if fleet.search else ():
+    for one in fleet.found:
         sds = np.sqrt(np.diag(one.sizes.common_covariance))
         parameters = named(one.effect).parameters(Context(1))
         for p, m, sd in zip(parameters, one.sizes.common, sds, strict=True):
@@ -270,7 +220,7 @@ def _try(fleet: Fleet) -> tuple[Table | Text, ...]:
         (one.effect, f"{one.evidence:.1f}", per_cent(one.probability), str(one.devices))
         for one in fleet.search.first
     )
-    refused = Text.each(f"{name}: {why}" for name, why in fleet.search.refused)
+    refused = Text.paragraphs(f"{name}: {why}" for name, why in fleet.search.refused)
     header = ("effect", "evidence, nats", "probability", "devices")
     return (Table("", header, rows, "lrrr"), *refused)
 
@@ -305,8 +255,8 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         for s in fleet.spreads
     ]
     content = {
-        **fields(fleet, "calibrator=settings.calibrator verdict exit_code"),
-        "found": list_fields(search.found if search else (), found),
+        **fields(fleet, "calibrator verdict exit_code"),
+        "found": list_fields(fleet.found, found),
         "held_out_mg": fleet.difference and fields(fleet.difference, gain),
         "devices": members,
         "between_devices": spreads,
@@ -319,7 +269,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         "notes": fleet.notes,
         "provenance": {
             "inputs": list_fields(made, "input=path sha256"),
-            **fields(fleet.settings, "settings=stated command"),
+            **fields(fleet, "settings command"),
             **fields(made[-1], "versions time"),
         },
     }

@@ -9,15 +9,13 @@ from typing import Annotated
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.gyroscope import STAGE, read_delay
+from imucalib.calibration.gyroscope import read_delay
 from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.data import Data
 from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
-from imucalib.report.plots import gain_plot
 from imucalib.report.render.document import (
-    RESIDUALS,
     Card,
     Document,
     Facts,
@@ -29,39 +27,25 @@ from imucalib.report.render.document import (
     Use,
     Worth,
 )
-from imucalib.significant_digits import (
-    format_components,
-    format_with_sd,
-    number,
-    plus_minus,
-    two_digits,
-)
+from imucalib.significant_digits import format_components, number, plus_minus, two_digits
 from imucalib.units import DEG
 
-#: Standard deviations from which on a delay is told on the first page.
+_RATE = "rate = K (reading - bias - what effects add), in the accelerometer's frame."
+_NAMES = tuple(f"{a}{b}" for a in "xyz" for b in "xyz")
 
 
 def imu_document(run: ImuRun) -> Document:
-    """Everything that a reader of the calibration must know, headline first."""
-    outcome, error = run.outcome, run.outcome.error
-    head = (
-        f"Held-out gravity over a turn {error.held_out.raw:.2f} as read, {error.held_out.base:.2f} "
-        f"with gains, {error.held_out.final:.2f} deg rms final {sections.floor_words(error)}."
-    )
-    parts = [
-        sections.loop_section(outcome),
-        Section(RESIDUALS, gain_plot(outcome.findings), brief=False),
-        Section("Gyroscope", (_gains(run), _facts(run))),
-        Section("Parameters", (sections.parameter_table(run.calibration, ""),), brief=False),
+    """Everything that a reader of the calibration must know, the verdict first."""
+    rest = (
+        Section("Gyroscope", (_facts(run),)),
+        Section("Parameters", (sections.parameter_table(run.calibration, _RATE),)),
         sessions_section(run.sessions),
         temperature_section(run.calibration),
-        sections.advice_section(outcome),
         sections.sensor_section(run.calibration),
-        Section("Turns", (_turns(run),), brief=False),
-        *sections.closing_sections(outcome),
-    ]
-    title = f"IMU calibration of {outcome.provenance.path}"
-    return sections.calibration_document(title, head, parts, run, _card(run))
+        Section("Turns", (_turns(run),)),
+    )
+    title = f"IMU calibration of {run.outcome.provenance.path}"
+    return sections.calibration_document(title, run, _card(run), rest=rest)
 
 
 def _card(run: ImuRun) -> Card:
@@ -100,16 +84,8 @@ def _for_kalibr(run: ImuRun) -> tuple[Use, ...]:
     noise = "{folder}/noise.yaml"
     measured = Use("Measure its noise", ("noise", "{input}", "--to", "kalibr", "-o", noise))
     purpose = "With it, for Kalibr and OpenVINS"
-    made = sections.exporting(run.calibration, purpose, "kalibr", "kalibr.yaml")
+    made = sections.propose_export(run.calibration, purpose, "kalibr", "kalibr.yaml")
     return (measured, *(replace(m, words=(*m.words, "--noise", noise)) for m in made)) * bool(made)
-
-
-def _gains(run: ImuRun) -> Table:
-    """K, in the accelerometer's frame."""
-    values = [p for p in run.calibration.parameters if p.stage == STAGE]
-    rows = tuple((p.name, *format_with_sd(p.value, p.sd), p.unit) for p in values)
-    note = "ω = K (reading - bias - what effects add), in the accelerometer's frame."
-    return Table("Gyroscope", ("parameter", "value", "sd", "unit"), rows, "lrrl", note)
 
 
 def _facts(run: ImuRun) -> Facts:
@@ -157,9 +133,6 @@ def _turns(run: ImuRun) -> Table:
     return Table("Turns held out", header, tuple(rows), "rrrrrrr", note)
 
 
-_NAMES = tuple(f"{a}{b}" for a in "xyz" for b in "xyz")
-
-
 def hand_plan_document(plan: HandPlan) -> Document:
     """The turns in their order, and what is known of the gains after them."""
     count, added = len(plan.turns), plan.before is not None
@@ -183,7 +156,7 @@ def hand_plan_document(plan: HandPlan) -> Document:
     known = [plan.sd] if plan.before is None else [plan.before, plan.sd]
     sds = tuple((name, *(f"{100.0 * sd[k]:.2g}" for sd in known)) for k, name in enumerate(_NAMES))
     gains = Table("", ("gain", *["sd now, %"] * added, "sd then, %"), sds, "l" + "r" * len(known))
-    stay = Text.each((f"These stay open: {words}." for words in plan.open_gains), "bad")
+    stay = Text.paragraphs((f"These stay open: {words}." for words in plan.open_gains), "bad")
     parts = (Section("Turns", (turns,)), Section("Gains", (*stay, gains)))
     return Document("Turns to add" if added else "Turns to take", verdict, parts)
 

@@ -51,6 +51,39 @@ _FIELD = {
     "rad/s": ((DEG, ".3f", " deg/s"), (DEG, ".2f", " deg/s"), (DEG, ".1f", " deg/s")),
 }
 _AS_RECORDED = ((1.0, ".4g", ""), (1.0, ".5g", ""), (1.0, ".4g", ""))
+#: What a table is, by what its columns give.
+_REFERENCES = {
+    "vector": "a table of positions whose inclination and tool-face are known",
+    "direction": "a table of positions whose face or direction is known",
+    "norm": "a table of readings at rest",
+    "plan": "a plan of positions, without readings",
+}
+#: Bytes in which a file of this program says that it is one.
+_OWN = 4096
+#: Where what is proposed writes.
+_OUT = ("-o", "out")
+#: Heading, what it shows, format: of the channels, the columns of a table, candidates.
+_CHANNELS: tuple[Column, ...] = (
+    ("channel", "name", ""),
+    ("unit", "unit", ""),
+    ("samples", "samples", "d"),
+    ("Hz", "rate_hz", ".4g"),
+    ("noise", lambda f: _size(max(f.noise, default=math.nan), f.unit, 0), ">"),
+    ("norm at rest", lambda f: _size(f.norm_at_rest, f.unit, 1), ">"),
+    ("largest", lambda f: _size(float(np.abs([f.low, f.high]).max()), f.unit, 2), ">"),
+)
+_COLUMNS: tuple[Column, ...] = (
+    ("column", "heading", ""),
+    ("taken as", lambda one: one.role.replace("_", "-"), ""),
+    ("unit", "unit", ""),
+    ("smallest", "smallest", ".6g"),
+    ("largest", "largest", ".6g"),
+)
+_GAPS: tuple[Column, ...] = (
+    ("at, s", "start", ".3f"),
+    ("length, s", lambda gap: gap.stop - gap.start, ".3f"),
+    ("reason", "reason", ""),
+)
 
 
 def inspection_document(
@@ -72,13 +105,17 @@ def inspection_document(
         Section("File", (_file(found),)),
         Section(
             "Channels",
-            (Table.of(_CHANNELS, found.channels, note="Noise of one sample at rest, worst axis."),),
+            (
+                Table.from_columns(
+                    _CHANNELS, found.channels, note="Noise of one sample at rest, worst axis."
+                ),
+            ),
         ),
         Section("Clocks", (_clocks(found),)),
         Section("Rest", _rest(found.still)),
         Section("Candidates for rests", _candidates(found) if rests else (), kept=True),
         Section("Losses and gaps", tuple(losses)),
-        Section("Notes", Text.each(notes)),
+        Section("Notes", Text.paragraphs(notes)),
         Section("How it was read", (Facts(_options(found)),) if found.mapping else ()),
         Section(
             "Next",
@@ -95,23 +132,15 @@ def inspection_document(
     return Document(found.path, verdict, tuple(parts), drawn="--html")
 
 
-_REFERENCES = {
-    "vector": "a table of positions whose inclination and tool-face are known",
-    "direction": "a table of positions whose face or direction is known",
-    "norm": "a table of readings at rest",
-    "plan": "a plan of positions, without readings",
-}
-
-
 def table_document(seen: TableInspection) -> Document:
     """What a table of positions holds, how it would be read, what is wrong, the next command."""
     facts = [("rows", str(seen.rows)), ("file", f"sha256 {seen.sha256[:16]}…")]
     facts += [("readings", seen.readings)] if seen.readings else []
     parts = (
-        Section("Table", (Facts(tuple(facts)), Table.of(_COLUMNS, seen.columns))),
+        Section("Table", (Facts(tuple(facts)), Table.from_columns(_COLUMNS, seen.columns))),
         Section("What is wrong", Text.sentences(seen.problems, "warning"), kept=True),
-        Section("Notes", Text.each(seen.notes)),
-        Section("Next", Text.each(seen.next), kept=True),
+        Section("Notes", Text.paragraphs(seen.notes)),
+        Section("Next", Text.paragraphs(seen.next), kept=True),
     )
     wrong = len(seen.problems)
     said = f"{wrong} thing{'s' * (wrong != 1)} to settle" if wrong else "nothing is wrong"
@@ -120,9 +149,6 @@ def table_document(seen: TableInspection) -> Document:
         "warning" if wrong else "plain",
     )
     return Document(seen.path, verdict, parts, drawn="--html")
-
-
-_OWN = 4096  # bytes in which a file of this program says that it is one
 
 
 def own_document(path: Path, typed: str) -> tuple[Document, OwnInspection] | None:
@@ -148,13 +174,9 @@ def own_document(path: Path, typed: str) -> tuple[Document, OwnInspection] | Non
         steps = (f"{page} shows it." if page.is_file() else "It is for programs; `--full` prints.",)
     else:
         return None
-    section = Section("Next", Text.each(steps), kept=True)
+    section = Section("Next", Text.paragraphs(steps), kept=True)
     document = Document(str(path), Text(f"{what}."), (section,), drawn="--html")
     return document, OwnInspection(str(path), kind, steps)
-
-
-#: Where what is proposed writes.
-_OUT = ("-o", "out")
 
 
 def table_commands(seen: TableSeen, typed: str) -> tuple[str, ...]:
@@ -339,7 +361,7 @@ def _merge(notes: list[str]) -> list[str]:
 def _gaps(found: Inspection) -> Table:
     title = f"{found.gap_count} gap{'s' * (found.gap_count != 1)}, {found.gap_seconds:.3g} s in all"
     title += f"; the longest {len(found.gaps)}" if found.gap_count > len(found.gaps) else ""
-    return Table.of(_GAPS, found.gaps, title)
+    return Table.from_columns(_GAPS, found.gaps, title)
 
 
 def _rest(still: Segments | None) -> tuple[Table, ...]:
@@ -356,7 +378,7 @@ def _rest(still: Segments | None) -> tuple[Table, ...]:
         (triad, *(f"{low:+.2f} to {high:+.2f}" for low, high in span.T))
         for triad, span in zip(still.triads, spans, strict=True)
     )
-    tones = Table.marked("warning", ((s[0] > -0.5).any() or (s[1] < 0.5).any() for s in spans))
+    tones = Table.mark_rows("warning", ((s[0] > -0.5).any() or (s[1] < 0.5).any() for s in spans))
     title = f"{still.n} still segment{'s' * (still.n != 1)}; gravity along each axis, in units of "
     title += "its norm at rest"
     note = "Scale and bias of an axis show only when it has pointed both up and down."
@@ -370,30 +392,6 @@ def _file(found: Inspection) -> Facts:
         start = moment.strftime("%Y-%m-%d %H:%M:%S UTC")
     span, sha256 = f"{found.span:.3f} s", f"{found.sha256[:16]}…"
     return Facts((("format", found.format), ("starts", start), ("span", span), ("sha256", sha256)))
-
-
-#: Heading, what it shows, format: of the channels, the columns of a table, candidates.
-_CHANNELS: tuple[Column, ...] = (
-    ("channel", "name", ""),
-    ("unit", "unit", ""),
-    ("samples", "samples", "d"),
-    ("Hz", "rate_hz", ".4g"),
-    ("noise", lambda f: _size(max(f.noise, default=math.nan), f.unit, 0), ">"),
-    ("norm at rest", lambda f: _size(f.norm_at_rest, f.unit, 1), ">"),
-    ("largest", lambda f: _size(float(np.abs([f.low, f.high]).max()), f.unit, 2), ">"),
-)
-_COLUMNS: tuple[Column, ...] = (
-    ("column", "heading", ""),
-    ("taken as", lambda one: one.role.replace("_", "-"), ""),
-    ("unit", "unit", ""),
-    ("smallest", "smallest", ".6g"),
-    ("largest", "largest", ".6g"),
-)
-_GAPS: tuple[Column, ...] = (
-    ("at, s", "start", ".3f"),
-    ("length, s", lambda gap: gap.stop - gap.start, ".3f"),
-    ("reason", "reason", ""),
-)
 
 
 def _size(value: float, unit: str, kind: int) -> str:
@@ -422,7 +420,7 @@ def _clocks(found: Inspection) -> Table:
             label = ("both" if len(more) == 1 else f"all {len(more) + 1}") + " channels"
         rows.append((label, *shown))
     header = ("channel", "jitter, µs", "longest step, ms", "repeated stamps", "back steps")
-    tones = Table.marked("warning", (shown[2:] != ("0", "0") for shown in same))
+    tones = Table.mark_rows("warning", (shown[2:] != ("0", "0") for shown in same))
     return Table("", header, tuple(rows), "lrrrr", tones=tones)
 
 
@@ -439,11 +437,11 @@ def _candidates(found: Inspection) -> tuple[Block, ...]:
         (f"noise, {unit}", lambda c: c.noise / size, ".2f"),
         ("", lambda c: c.reason or "rest", ""),
     )
-    tones = Table.marked("warning", (bool(c.reason) for c in candidates))
+    tones = Table.mark_rows("warning", (bool(c.reason) for c in candidates))
     rests = sum(not c.reason for c in candidates)
     title = f"{rests} rests, {len(candidates) - rests} refused"
     plots = (_over_time(candidates, name, unit, size) for name in ("drift", "noise"))
-    return (Table.of(columns, candidates, title, _RESTS, tones), *plots)
+    return (Table.from_columns(columns, candidates, title, _RESTS, tones), *plots)
 
 
 def _in_si(found: Inspection) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.uncertainty import angle_uncertainty, force_slope
 from imucalib.calibrators.lab.bench import row_numbers
 from imucalib.calibrators.lab.calibrate import gravity_of
@@ -24,13 +23,10 @@ from imucalib.core.sphere import coverage, even_directions
 from imucalib.effects import known
 from imucalib.effects.scans import COLUMN
 from imucalib.posterior.held_out import Predictions, predict_fitted, raw_errors
-from imucalib.posterior.held_out import errors as held_errors
 from imucalib.report import sections
 from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
-from imucalib.report.plots import band, gain_plot, sphere_map
+from imucalib.report.plots import band, sphere_map
 from imucalib.report.render.document import (
-    RESIDUALS,
-    Block,
     Card,
     Document,
     Facts,
@@ -61,36 +57,25 @@ _FOLLOWED = {
 
 
 def lab_document(run: LabRun) -> Document:
-    """Everything that a reader of the calibration must know, headline first."""
-    outcome, result, request = run.outcome, run.result, run.request
-    error = outcome.error
-    head = (
-        f"Held-out error {error.held_out.raw:.2f} raw, {error.held_out.base:.2f} base, "
-        f"{error.held_out.final:.2f} {error.unit} rms final {sections.floor_words(error)}."
-    )
+    """Everything that a reader of the calibration must know, the verdict first."""
+    result, kind = run.result, run.request.population
     picture, *others = _residual_plots(run)
-    plots = (*gain_plot(outcome.findings), *others, _attitude_map(run))
-    parts = [
-        sections.loop_section(outcome),
-        Section(RESIDUALS, plots, brief=False),
+    rest = (
         _angle_section(run),
         _parameter_section(run),
-        sections.kind_section(request.population, result.final, result.kind_chance, "position"),
+        sections.kind_section(kind, result.final, result.kind_chance, "position"),
         _bench_section(run),
         sessions_section(run.sessions),
         temperature_section(run.calibration),
         _dial_section(run),
-        sections.advice_section(outcome),
-        sections.sensor_section(run.calibration, _iscwsa_table(run.calibration)),
+        sections.sensor_section(run.calibration),
         _uncertainty_section(run),
-        Section("Positions", (_position_table(run),), brief=False),
-    ]
-    if outcome.findings:
-        parts.append(sections.candidate_section(outcome.findings))
-    if request.objective == "paper":
-        parts.append(Section("As published", (_published_table(run),), brief=False))
-    title = f"Lab calibration of {outcome.provenance.path}"
-    return sections.calibration_document(title, head, parts, run, _card(run, picture))
+        Section("Positions", (_position_table(run),)),
+    )
+    title = f"Lab calibration of {run.outcome.provenance.path}"
+    plots = (*others, _attitude_map(run))
+    card = _card(run, picture)
+    return sections.calibration_document(title, run, card, residuals=plots, rest=rest)
 
 
 def _knows_angles(run: LabRun) -> bool:
@@ -119,7 +104,7 @@ def _card(run: LabRun, picture: Plot) -> Card:
     uses: tuple[Use, ...] = (sections.CORRECT,)
     if not run.recorded:
         purpose = "Take the coefficients to the instrument"
-        uses = sections.exporting(run.calibration, purpose, "c-header", "calibration.h")
+        uses = sections.propose_export(run.calibration, purpose, "c-header", "calibration.h")
     return sections.card_of(run.outcome, good, uses=uses, picture=picture)
 
 
@@ -189,24 +174,21 @@ def _angle_section(run: LabRun) -> Section:
     ]
     for split in result.splits:
         compared += [(f"{split.name}, base", split.base), (f"{split.name}, final", split.final)]
-    rows = tuple(row(name, _errors_of(run, held)) for name, held in compared)
-    header = ("", *["tool-face, deg", "inclination, deg"] * directed, "|a|, mg")
-    note = "Largest / rms."
-    if bends(result.final):
-        note += " Inclination is compared after undoing the fixture error that was found."
-    blocks: list[Block] = [Table("Errors on the positions", header, rows, "", note)]
+    rows = [row(name, _errors_of(run, held)) for name, held in compared]
     if result.loop and result.loop.records:
         aside = _errors_of(run, predict_fitted(result.loop.final))
         bad = [r.row for r in result.loop.records]
         rest = aside.take(np.setdiff1d(np.arange(len(aside.norm)), bad))
-        title = "With the suspect records set aside"
-        note = "The same model fitted without them, on the other rows."
-        blocks.append(Table(title, header, (row("fitted, final", rest),), "", note))
+        rows.append(row("the same without the suspect records, on the others", rest))
+    header = ("", *["tool-face, deg", "inclination, deg"] * directed, "|a|, mg")
+    note = "Largest / rms."
+    if bends(result.final):
+        note += " Inclination is compared after undoing the fixture error that was found."
     used, n = len(result.used), result.observations.n
     if used != n:
-        words = f"Model chosen and fitted on {used} rows; the other {n - used} are the test set."
-        blocks.append(Text(words))
-    return Section("Angles and |a|" if directed else "|a|", tuple(blocks))
+        note += f" Model chosen and fitted on {used} rows; the other {n - used} are the test set."
+    table = Table("Errors on the positions", header, tuple(rows), "", note)
+    return Section("Angles and |a|" if directed else "|a|", (table,))
 
 
 def _bench_section(run: LabRun) -> Section:
@@ -221,9 +203,6 @@ def _bench_section(run: LabRun) -> Section:
         after = f"forgotten in {reading.memory:.2g} positions"
         rows.append(("noise that neighbours share", f"{size}, {after}"))
     rows.append(("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"))
-    if (kind := run.request.population) is not None:
-        said = f"what {kind.devices} devices of its kind say (--fleet)"
-        rows.append(("prior beside these rows", said))
     order = (
         "by their time" if "time" in fit.observations.context else "of the file, taken as recorded"
     )
@@ -246,11 +225,11 @@ def _dial_section(run: LabRun) -> Section:
         return Section(title, ())
     at = np.linspace(0.0, 90.0, 61)
     dial = dial_of(run.result, at)
-    interval = Series.about("95 % band", at, dial.shift, dial.half, "band")
+    interval = Series.from_half("95 % band", at, dial.shift, dial.half, "band")
     line = Series("true inclination minus dial", at, dial.shift, "line")
     caption = "What the bench's inclination dial is off by; no part of the sensor's calibration."
     labels = ("True inclination minus dial", "inclination (deg)", "dial's error (deg)")
-    return Section(title, (Plot(*labels, (interval, line), caption),), brief=False)
+    return Section(title, (Plot(*labels, (interval, line), caption),))
 
 
 def _uncertainty_section(run: LabRun) -> Section:
@@ -287,7 +266,7 @@ def _uncertainty_section(run: LabRun) -> Section:
     header = ("inclination", "inc., 95 %", "inc., 1 reading", "tool-face, 95 %", "tf, 1 reading")
     note = "The frame's part (mounting, dial zero) is included; |a| cannot see it."
     table = Table("Uncertainty carried to the angles (deg)", header, rows, "rrrrr", note)
-    return Section("Uncertainty of the angles", (table, *plots), brief=False)
+    return Section("Uncertainty of the angles", (table, *plots))
 
 
 def _held_out_models(run: LabRun) -> tuple[Predictions, Predictions, bool]:
@@ -430,46 +409,3 @@ def _position_table(run: LabRun) -> Table:
         "Left out: predicted without the row."
     )
     return Table("Residuals by position", tuple(header), rows, "", note)
-
-
-def _iscwsa_table(calibration: Calibration) -> Table:
-    """ISCWSA error-model codes: the error that was removed and the 1-sigma that stays."""
-    linear = calibration.matrices()
-    by_name = {p.name: p for p in calibration.parameters}
-
-    def rss(*values: float) -> float:
-        return float(np.sqrt(np.mean(np.square(values))))
-
-    scale, scale_sd = np.abs(linear.scale - 1.0), linear.scale_sd
-    b, b_sd = np.abs(linear.bias_mg) * MG, linear.bias_mg_sd * MG
-    rows = [
-        ("ABXY", "m/s²", rss(b[0], b[1]), rss(b_sd[0], b_sd[1]), 0.004),
-        ("ABZ", "m/s²", b[2], b_sd[2], 0.004),
-        ("ASXY", "-", rss(scale[0], scale[1]), rss(scale_sd[0], scale_sd[1]), 5e-4),
-        ("ASZ", "-", scale[2], scale_sd[2], 5e-4),
-    ]
-    if tilt := [by_name[f"mounting_{a}"] for a in "xy" if f"mounting_{a}" in by_name]:
-        removed, stays = rss(*(p.value for p in tilt)), rss(*(p.sd for p in tilt))
-        rows.append(("XYM", "deg", removed, stays, 0.1))
-    cells = tuple((code, u, f"{v:.5f}", f"{s:.5f}", f"{model:g}") for code, u, v, s, model in rows)
-    header = ("code", "unit", "removed", "left (1 sd)", "MWD model")
-    note = "XY is the rms of both axes. MWD model: the standard's 1-sigma, for comparison."
-    return Table("ISCWSA-coded equivalents", header, cells, "llrrr", note)
-
-
-def _published_table(run: LabRun) -> Table:
-    """All positions in the layout of paper 004's Table 2: components, angles and their errors."""
-    fit, whole = run.result.final, run.result.observations
-    corrected = fit.model.correct(fit.theta, whole.reading, whole.context)[:, 0]
-    inclination, tool_face = run.request.conventions.outside(*angles_of(corrected))
-    errors = _errors_of(run, held_errors(fit, fit.theta, whole))
-
-    def row(k: int, label: str) -> tuple[str, ...]:
-        off = abs(errors.tool_face[k])
-        turn = np.mod(tool_face[k] + 1.0, 360.0) - 1.0 + 0.0 * off  # none at the vertical
-        angles = (turn, off, inclination[k], abs(errors.inclination[k]))
-        return (label, *(f"{v:.5f}" for v in corrected[k]), *(number(v, 3) for v in angles))
-
-    rows = tuple(row(k, label) for k, label in enumerate(whole.label))
-    header = ("position", "a_x", "a_y", "a_z", "tf", "error", "incl", "error")
-    return Table("Corrected components (m/s²) and angles (deg)", header, rows, "lrrrrrrr")

@@ -62,10 +62,7 @@ def noise_document(path: str, noise: Sequence[SensorNoise], typed: str) -> Docum
     """
     tables, plots = list(_tables(noise)), tuple(_plots(noise))
     longest = max(sensor.axes[0].curve.longest for sensor in noise)
-    told = "; ".join(dict.fromkeys(map(_headline, noise))) if len(noise) < 3 else ""
-    words = (
-        f"{_count_sensors(noise)} at rest, up to {longest:.0f} s at a time{told and ': '}{told}."
-    )
+    words = f"{_count_sensors(noise)} at rest, up to {longest:.0f} s at a time."
     files = (
         Text(f"`imucal noise {typed} --to {form} -o {made.file}`: {made.reads}")
         for form, made in NOISE_FORMS.items()
@@ -82,11 +79,6 @@ def noise_document(path: str, noise: Sequence[SensorNoise], typed: str) -> Docum
 def _count_sensors(noise: Sequence[SensorNoise]) -> str:
     counts = {q: sum(s.quantity == q for s in noise) for q in _SENSORS}
     return " and ".join(f"{n} {_SENSORS[q]}{'s' * (n > 1)}" for q, n in counts.items() if n)
-
-
-def _headline(sensor: SensorNoise) -> str:
-    unit, scale = _UNITS[sensor.quantity]["white"]
-    return f"{_cell(noisiest(sensor.axes, 'white').white, scale)} {unit}"
 
 
 def _tables(noise: Sequence[SensorNoise]) -> Iterator[Table]:

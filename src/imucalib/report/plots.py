@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.findings import Findings
 from imucalib.report.render.document import Plot, Series
 from imucalib.report.render.svg import nice_step
 
@@ -17,25 +16,10 @@ _RIM, _APART = float(np.sqrt(2.0)), 3.1
 _CIRCLES = (0.0, 30.0, 60.0)  # deg over the map's rim
 
 
-def gain_plot(found: Findings | None) -> tuple[Plot, ...]:
-    """One plot where held-out data say what a step is worth; empty where they do not."""
-    gain = found.gain if found else None
-    if gain is None:
-        return ()
-    y = np.array([gain.before, gain.after, gain.before - gain.after])
-    low, high = (np.array([np.nan, np.nan, edge]) for edge in (gain.low, gain.high))
-    names = ("before", "after", "gain, 95 %")
-    bars = Series("held out", np.arange(3.0), y, "bars", low, high, names=names)
-    words = "excludes" if gain.low > 0.0 else "includes"
-    caption = f"On data that took no part in any choice. The interval of the gain {words} zero"
-    caption += f"{gain.dense}."
-    return (Plot("What the search is worth", "", f"error ({gain.unit})", (bars,), caption),)
-
-
 def band(label: str, x: Array, half: float, level: float = 0.0) -> Series:
     """From end to end of x (n,), `half` about a level."""
     ends = np.array([np.nanmin(x), np.nanmax(x)])
-    return Series.about(label, ends, np.full(2, level), np.full(2, half), "band")
+    return Series.from_half(label, ends, np.full(2, level), np.full(2, half), "band")
 
 
 def sphere_map(

@@ -6,6 +6,7 @@ The card says what the result is worth, what was found, and what to do next.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,14 +14,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Findings
-from imucalib.calibration.outcome import (
-    NO_NAME,
-    UNPROVED_NAME,
-    ErrorSummary,
-    Outcome,
-    Run,
-    Status,
-)
+from imucalib.calibration.outcome import NO_NAME, UNPROVED_NAME, ErrorSummary, Outcome, Run, Status
 from imucalib.calibration.power import find_hidden
 from imucalib.calibrators.population import Population
 from imucalib.core.fit import Fit
@@ -31,8 +25,10 @@ from imucalib.posterior.closed_loop.found import Step, Unexplained
 from imucalib.question import Question, paste
 from imucalib.report.certificate import certify
 from imucalib.report.render.document import (
+    RESIDUALS,
     Block,
     Card,
+    Column,
     Document,
     Facts,
     Plot,
@@ -56,8 +52,10 @@ from imucalib.significant_digits import (
 )
 from imucalib.units import MG
 
-#: Parameters of one effect that a card names, steps of advice that it gives, names still open.
-_PARAMETERS, _STEPS, _OPEN = 3, 4, 3
+#: Parameters of one effect that a card names, names still open.
+_PARAMETERS, _OPEN = 3, 3
+#: Parameters of one effect up to which a table has them.
+_MOST_ROWS = 12
 #: Effects up to which a card says what each means, and rivals that it names of each.
 _FEW, _RIVALS = 3, 3
 #: Effects that could hide, as many as are named.
@@ -68,6 +66,15 @@ _LIKELY, _NAMED = 0.1, 2
 _EVEN = 0.5
 #: How reasons begin that the card says in full.
 _IN_FULL = ("unexplained structure", "structure that no effect")
+_CANDIDATES: tuple[Column, ...] = (
+    ("candidate", "name", ""),
+    ("kind", "kind", ""),
+    ("evidence (nats)", lambda s: "absorbed" if s.absorbed else f"{s.evidence_nats:.2f}", ">"),
+    ("P(present)", lambda s: None if s.absorbed else per_cent(s.probability), ">"),
+    ("identifiable (%)", lambda s: 100.0 * s.left, ".1f"),
+    ("λ", "lambda_at_typical_size", ".1f"),
+    ("size (mg)", lambda s: s.size_m_per_s2 / MG or None, ".2g"),
+)
 _TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "weak": "warning", "failed": "bad"}
 _HELD_OUT = {
     "actigraph": "Held out: each block of time predicted by a fit without it.",
@@ -79,19 +86,33 @@ _ANEW = (
     "Held out: a part at a time, predicted by a model that was searched for and fitted without "
     "it, or the test rows."
 )
+#: Corrects what was calibrated.
+CORRECT = Use(
+    "Correct the recording",
+    ("apply", "{calibration}", "{input}", "-o", "{folder}/corrected{suffix}"),
+)
 
 
 def calibration_document(
-    title: str, head: str, parts: Sequence[Section], run: Run, card: Card
+    title: str,
+    run: Run,
+    card: Card,
+    *,
+    first: Sequence[Section] = (),
+    residuals: Sequence[Plot] = (),
+    rest: Sequence[Section] = (),
 ) -> Document:
     """The report of a calibration, with its certificate and its provenance.
 
-    head : the figure that leads the verdict
+    first : sections ahead of those of the search; residuals : before and after it
+    rest : sections behind them
     """
     outcome = run.outcome
-    certificate = certify(run, card)
-    footer = outcome.provenance.footer
-    return Document(title, _verdict(outcome, head), tuple(parts), footer, card, certificate)
+    parts = [*first, _loop_section(outcome), Section(RESIDUALS, tuple(residuals)), *rest]
+    parts += [_candidate_section(outcome.findings)] if outcome.findings else []
+    parts.append(Section("Notes", Text.paragraphs(outcome.notes)))
+    footer, verdict = outcome.provenance.footer, _verdict(outcome)
+    return Document(title, verdict, tuple(parts), footer, card, certify(run, card))
 
 
 def card_of(
@@ -123,22 +144,14 @@ def card_of(
     return Card(
         tuple(good_to) if settled else (),
         tuple(said),
-        tuple(decision(step, command) for step in steps[:_STEPS]),
+        tuple(decision(step, command) for step in steps),
         command,
         uses=uses if usable else (),
-        headline=_headline(outcome),
         picture=picture,
     )
 
 
-#: Corrects what was calibrated.
-CORRECT = Use(
-    "Correct the recording",
-    ("apply", "{calibration}", "{input}", "-o", "{folder}/corrected{suffix}"),
-)
-
-
-def exporting(calibration: Calibration, purpose: str, form: str, file: str) -> tuple[Use, ...]:
+def propose_export(calibration: Calibration, purpose: str, form: str, file: str) -> tuple[Use, ...]:
     """The command that writes a form, where that carries the calibration."""
     if not carries(calibration, form):
         return ()
@@ -161,15 +174,14 @@ def decision(step: str | Question, command: str) -> str:
     return f"{named}: if that is right, type this{other}: `{typed}`"
 
 
-def _headline(outcome: Outcome) -> str:
-    """The verdict in words, without figures."""
+def _verdict(outcome: Outcome) -> Text:
+    """In words, without figures: these are on the card."""
+    words = " ".join(f"{capital(text)}." for text in _why(outcome)) or "Ready to use."
     if outcome.broken:
-        return f"{'; '.join(outcome.broken)}."
-    if outcome.undecided:
-        return "Settle what is marked below before these figures are used."
-    if why := _why(outcome):
-        return " ".join(f"{capital(text)}." for text in why)
-    return "Ready to use."
+        words = f"{'; '.join(outcome.broken)}."
+    elif outcome.undecided:
+        words = "Settle what is marked below before these figures are used."
+    return Text(words, _TONE[outcome.status])
 
 
 def _slips(outcome: Outcome) -> tuple[Question, ...]:
@@ -244,7 +256,11 @@ def _list_findings(found: Findings) -> list[Text]:
         lines.append(Text(f"{words}{refused}."))
     named = [u for u in found.unexplained if _is_named(u)]
     told = [f"{in_words(u.name)} ({per_cent(u.probability)})" for u in named]
-    nameless = _nameless([u for u in found.unexplained if not _is_named(u)])
+    nameless = [
+        in_words(u.name) + (f" (driven by {u.driver})" if u.driver else "")
+        for u in found.unexplained
+        if not _is_named(u)
+    ]
     for words, every in (("Named, but not corrected", told), ("Unexplained structure", nameless)):
         if every:
             more = f", and {len(every) - _OPEN} more" if len(every) > _OPEN else ""
@@ -259,14 +275,6 @@ def _list_findings(found: Findings) -> list[Text]:
 def _is_named(one: Unexplained) -> bool:
     """Whether it is a cause of the catalogue, likelier than not."""
     return bool(known(one.name)) and names_a_cause(one.name) and one.probability > _EVEN
-
-
-def _nameless(unexplained: Sequence[Unexplained]) -> list[str]:
-    """What no effect explains, and against what it shows."""
-    return [
-        f"{in_words(u.name)} (driven by {u.driver})" if u.driver else in_words(u.name)
-        for u in unexplained
-    ]
 
 
 def _describe_step(step: Step) -> str:
@@ -307,19 +315,6 @@ def _nothing_found(found: Findings) -> Text:
     return Text(f"{said}{could}.", "ok" if found.complete > _EVEN else "plain")
 
 
-def floor_words(error: ErrorSummary, digits: int = 2) -> str:
-    """What the measured noise alone would leave, in brackets."""
-    if math.isnan(error.floor):
-        return "(noise floor unknown: nothing repeated, no noise declared)"
-    return f"(noise floor {error.floor:.{digits}f})"
-
-
-def _verdict(outcome: Outcome, head: str) -> Text:
-    """A figure, broken limits, what is undecided, and reasons, in the tone of the status."""
-    said = (*outcome.broken, *map(str, outcome.undecided), *map(capital, _why(outcome)))
-    return Text(" ".join([head, *(f"{text}." for text in said)]), _TONE[outcome.status])
-
-
 def _why(outcome: Outcome) -> list[str]:
     """Reasons for a caution."""
     # A wrong record is said by what is undecided about it, what stays by the card.
@@ -333,20 +328,16 @@ def _why(outcome: Outcome) -> list[str]:
     return why
 
 
-def loop_section(outcome: Outcome) -> Section:
-    """What was found, step by step, and what stays."""
-    found = outcome.findings
+def _loop_section(outcome: Outcome) -> Section:
+    """The effects that were added, what could hide, and the error before and after; the card says
+    in words what was found."""
+    found = outcome.findings or Findings("not run")
     note = _HELD_OUT.get(outcome.calibrator, _HELD_OUT[""])
-    if found and found.steps and outcome.calibrator != "array":
+    if found.steps and outcome.calibrator != "array":
         note = _ANEW
     judged = [e for e in outcome.errors if not (math.isnan(e.base) and math.isnan(e.held_out.base))]
-    shown = [_error_table(e, note if e is judged[-1] else "") for e in judged]
-    if found is None:
-        return Section("Closed loop", (Text("The search was not run."), *shown))
+    errors = [_error_table(e, note if e is judged[-1] else "") for e in judged]
     blocks: list[Block] = []
-    if found.records:
-        blocks.append(_record_table(found))
-    blocks.append(_loop_verdict(found))
     if any(size for _, size in found.declared):
         blocks.append(Table("Declared effects", ("effect", "size"), found.declared, "ll"))
     limited = (("only", found.only), ("without", found.without))
@@ -356,20 +347,10 @@ def loop_section(outcome: Outcome) -> Section:
     for kind in kinds:
         steps = [s for s in found.steps if tuple(c.metric for c in s.checks) == kind]
         blocks.append(_step_table(steps))
-    blocks += [*_power(found), *shown]
+    blocks += [*_power(found), *errors]
     if found.facts:
         blocks.append(Facts(found.facts))
     return Section("Closed loop", tuple(blocks))
-
-
-def _record_table(found: Findings) -> Table:
-    rows = tuple(
-        (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), per_cent(r.probability), r.likely)
-        for r in found.records
-    )
-    header = ("record", "channel", "off by", "p", "likely")
-    tones: dict[int, Tone] = dict.fromkeys(range(len(rows)), "bad")
-    return Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones)
 
 
 def _error_table(error: ErrorSummary, note: str) -> Table:
@@ -391,46 +372,8 @@ def _error_table(error: ErrorSummary, note: str) -> Table:
     return Table(title, header, tuple(rows), "", note)
 
 
-def _loop_verdict(found: Findings) -> Text:
-    named = [s for s in found.steps if not s.curve]
-    names = ", ".join(
-        f"a form without a known cause ({s.formula})"
-        if s.formula
-        else " or ".join(map(in_words, (s.effect, *s.aliases)))
-        for s in named
-    )
-    records = ", ".join(r.where for r in found.records)
-    wrong = f"a wrong record ({records})" if records else ""
-    cause = " and ".join(filter(None, (wrong, names)))
-    curves = [f"{s.curve}, corrected by a curve" for s in found.steps if s.curve]
-    unknown = ", ".join([*_nameless(found.unexplained), *curves])
-    aside = f", {records} set aside" if records else ""
-    judged = found.gain if found.steps or found.refuted else None
-    gained = f" Held out{aside}: {judged.words}." if judged else ""
-    match found.verdict:
-        case "not run":
-            return Text("Fitted with the declared effects; the search was not run.")
-        case "nothing missing":
-            return _nothing_found(found)
-        case "explained":
-            return Text(f"The residual is explained by {cause}.{gained}", "ok")
-        case "explained in part":
-            words = f"The residual is explained in part by {cause}; left: {unknown}.{gained}"
-            return Text(words, "warning")
-        case "suspected":
-            doubt = "The correction is applied, but held-out data do not prove it yet"
-            if not named:
-                doubt = "One clean table in a hundred has such a record: read it again before it "
-                doubt += "is left out"
-            more = f"; left: {unknown}" if unknown else ""
-            return Text(f"Suspected: {cause}. {doubt}{more}.{gained}", "warning")
-    words = f"Unexplained structure: {unknown}. No effect that was searched fits.{gained}"
-    return Text(words, "bad")
-
-
 def _step_table(steps: Sequence[Step]) -> Table:
     """Effects that were added; a column of sizes and of nats held out where a calibrator has it."""
-    checks = steps[0].checks
     sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out_nats"))
 
     def row(s: Step) -> tuple[str, ...]:
@@ -438,30 +381,17 @@ def _step_table(steps: Sequence[Step]) -> Table:
         if nats:
             cells += [f"{s.evidence_nats:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out_nats)]
         for c in s.checks:
-            change = [f"{v:.{c.digits}f}" for v in (c.before, c.after)]
-            cells += change if len(s.checks) == 1 else [" -> ".join(change)]
+            cells.append(f"{c.before:.{c.digits}f} -> {c.after:.{c.digits}f} {c.unit}")
         rivals = (one for one in s.in_its_place if one.effect != s.effect)
         others = ", ".join(f"{one.effect} {per_cent(one.share)}" for one in rivals)
         others = others if s.in_its_place else ", ".join(s.aliases)
         return (*cells, others or ("nothing: certain" if s.certain else "-"))
 
-    header = ["effect added", *["size"] * sized, "P(present)"]
-    header += ["nats", "held out, nats"] * nats
-    if len(checks) == 1:
-        header += ["before", "after"]
-        units = " or ".join(dict.fromkeys(s.checks[0].unit for s in steps))
-        note = f"{capital(checks[0].metric).removesuffix(', rms')} in {units} rms, "
-        note += (
-            "of all steps together. P(present): of this effect, in this place or beside another."
-        )
-    else:
-        header += [f"{c.metric}, {c.unit}" for c in checks]
-        note = (
-            "P(present): how likely it is. Held out: what each half of the data gains by "
-            "the effect as the other half has it. Residuals: median absolute deviation, held out."
-        )
-    header.append("indistinguishable from")
+    header = ["effect added", *["size"] * sized, "P(present)", *["nats", "held out, nats"] * nats]
+    header += [*(capital(c.metric) for c in steps[0].checks), "indistinguishable from"]
     align = "l" + "l" * sized + "r" * (len(header) - 2 - sized) + "l"
+    note = "Errors of all steps together. P(present): of this effect, in this place or another."
+    note += " Nats held out: what each half gains by the effect as the other half has it." * nats
     return Table("Steps of the loop", tuple(header), tuple(map(row, steps)), align, note)
 
 
@@ -480,41 +410,18 @@ def _power(found: Findings) -> list[Text]:
     return said
 
 
-def candidate_section(found: Findings) -> Section:
+def _candidate_section(found: Findings) -> Section:
     """Every candidate of the last search with its numbers, why not, and what cannot be shown."""
-    rejected = dict(found.rejected)
-    rows = [
-        (
-            s.name,
-            s.kind,
-            "absorbed" if s.absorbed else f"{s.evidence_nats:.2f}",
-            "-" if s.absorbed else per_cent(s.probability),
-            f"{100.0 * s.left:.1f}",
-            f"{s.lambda_at_typical_size:.1f}",
-            f"{s.size_m_per_s2 / MG:.2g}" if s.size_m_per_s2 else "-",
-        )
-        for s in found.scores
-        if "@" not in s.name or s.evidence_nats > 1.0  # a scan has hundreds of members
-    ]
-    rows += [(name, "effect", "rejected", "-", "-", "-", "-") for name in rejected]
-    rows += [(name, "effect", "not tested", "-", "-", "-", "-") for name in found.missing]
-    header = (
-        "candidate",
-        "kind",
-        "evidence (nats)",
-        "P(present)",
-        "identifiable (%)",
-        "λ",
-        "size (mg)",
-    )
+    # A scan has hundreds of members.
+    shown = [s for s in found.scores if "@" not in s.name or s.evidence_nats > 1.0]
     note = (
         "Last search, after everything above was added. Identifiable: share of the effect that the "
         "fitted parameters do not absorb. λ: strength at typical size; about 4.7 gives an 80 % "
         "chance to find it. Size: what it does to a reading at typical size, rms; an absorbed "
         "effect cannot be tested on these data and shifts the answer by so much."
     )
-    blocks: list[Block] = [Table("All candidates", header, tuple(rows), "llrrrrr", note)]
-    reasons = (*rejected.items(), *found.missing.items())
+    blocks: list[Block] = [Table.from_columns(_CANDIDATES, shown, "All candidates", note)]
+    reasons = (*found.rejected, *found.missing.items())
     if why := "; ".join(f"{name}: {reason}" for name, reason in reasons):
         blocks.append(Text(f"Rejected or not tested: {why}."))
     if found.not_testable:
@@ -522,31 +429,27 @@ def candidate_section(found: Findings) -> Section:
         heads = ("not testable", "at", "moves the answer by")
         note = "Absorbed by what is fitted, or by effects already in the model."
         blocks.append(Table("What these data cannot show", heads, cells, "llr", note))
-    return Section("Candidates tried", tuple(blocks), brief=False)
+    return Section("Candidates tried", tuple(blocks))
 
 
-def advice_section(outcome: Outcome) -> Section:
-    """What to do next."""
-    return Section(
-        "Advice", Text.each(map(str, outcome.advice or ("Nothing to do.",))), brief=False
-    )
+def parameter_table(calibration: Calibration, note: str, shares: Sequence[float] = ()) -> Table:
+    """Every parameter with its standard deviation, but those of an effect of many.
+
+    shares : of what is known of each, what the recording has shown; none where that is not told
+    """
+    counts = Counter(p.effect for p in calibration.parameters)
+    rows = []
+    for k, p in enumerate(calibration.parameters):
+        if counts[p.effect] <= _MOST_ROWS:
+            shown = [f"{100.0 * shares[k]:.0f}"] if shares else []
+            rows.append((p.name, p.effect, *format_with_sd(p.value, p.sd), p.unit, *shown))
+    many = ", ".join(f"{name} ({n} terms)" for name, n in counts.items() if n > _MOST_ROWS)
+    note += f" In calibration.yaml only: {many}." if many else ""
+    header = ("parameter", "effect", "value", "sd", "unit", *["data, %"] * bool(shares))
+    return Table("Parameters", header, tuple(rows), "llrrlr"[: len(header)], note)
 
 
-def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
-    """The candidates, where there was a search, and the notes."""
-    found = (candidate_section(outcome.findings),) if outcome.findings else ()
-    return (*found, Section("Notes", Text.each(outcome.notes), brief=False))
-
-
-def parameter_table(calibration: Calibration, note: str) -> Table:
-    """Every parameter with its standard deviation."""
-    rows = tuple(
-        (p.name, p.effect, *format_with_sd(p.value, p.sd), p.unit) for p in calibration.parameters
-    )
-    return Table("Parameters", ("parameter", "effect", "value", "sd", "unit"), rows, "llrrl", note)
-
-
-def sensor_section(calibration: Calibration, *more: Table) -> Section:
+def sensor_section(calibration: Calibration) -> Section:
     """M, b and the scales, and the angles between the sensing axes."""
     linear = calibration.matrices()
     rows = tuple(
@@ -563,7 +466,7 @@ def sensor_section(calibration: Calibration, *more: Table) -> Section:
     table = Table("corrected = M raw + b", header, rows, "llrrr", note)
     angles = zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
     facts = Facts(tuple((f"angle {p}", plus_minus(a, s, "deg")) for p, a, s in angles))
-    return Section("The sensor", (table, facts, *more), brief=False)
+    return Section("The sensor", (table, facts))
 
 
 def kind_section(

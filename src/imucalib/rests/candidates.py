@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -97,13 +96,7 @@ def _drift(means: Array, each: int, noise: WindowNoise, length: float) -> tuple[
 
 def candidates_of(every: Sequence[SensorView]) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
     """All candidates in order of time, and what is worth saying of those that stand."""
-    found = []
-    longest = every[0].sensor.settings.longest
-    for a, b in _common(every):
-        pieces = 1 if longest is None else max(1, int(np.ceil((b - a) / longest)))
-        ends = np.linspace(a, b, pieces + 1).tolist()
-        found += [_judge(part, every) for part in pairwise(ends)]
-    found = _off_bias(found, every)
+    found = _off_bias([_judge(inside, every) for inside in _common(every)], every)
     for one in every:
         if not one.sensor.turns:
             found = _add_refused(found, one)

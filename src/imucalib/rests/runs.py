@@ -22,25 +22,49 @@ from itertools import pairwise
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.errors import Undetermined, UnreadableInput, UsageError
+from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.recording.identity import NAMELESS, Identity, identity_of
 from imucalib.recording.recording import Channel, Gap, HeldSamples, Recording
 from imucalib.recording.sensors import accelerometers, undecided
-from imucalib.rests.stillness import Sensor, StillSettings, every, some, still_windows
+from imucalib.rests.stillness import Sensor, StillSettings, all_axes, any_axis, still_windows
 from imucalib.rests.thermal import ThermalHistory, believable_windows, mean_of_known
 from imucalib.rests.windows import (
     WindowBuilder,
     Windows,
-    breaks,
+    find_breaks,
     in_order,
     join_windows,
-    usable,
+    usable_windows,
     window_statistics,
 )
 from imucalib.units import MG, STANDARD_GRAVITY
 
 _CHANGE = 20.0 * MG  # between neighbouring windows of one posture, at most
 _REACH = 30.0 * MG  # between any window of a run and its first
+_RATIO = 1.3  # between two sizes of gravity that no sensor's errors explain
+_CLEARER = 5.0  # times that two levels leave less scatter than one: a steady drift leaves a quarter
+_FEWEST = 5  # windows on either side of a change of range
+#: Chance up to which noise has not done it: e^-60, for samples of a filter are not independent.
+_NATS = 60.0
+#: Noise in steps from which the resolution shows it.
+_SHOWN = 0.5
+#: Seconds at least, and share of gravity by which another axis moves meanwhile.
+_SECONDS, _MOVED = 60.0, 0.2
+_FAR, _ENDS = _MOVED * STANDARD_GRAVITY, 2
+#: Noise of an axis that is still, and steps of its mean from window to window, in its own noise.
+_CALM, _ON = 3.0, 2.0
+#: Share of gravity from which on a limit is beyond every rest, whatever the bias.
+_BEYOND = 1.1
+#: Of a worn sensor: ten-second windows, as the field uses, three axes, noise plus a sway of 3 mg
+#: that breathing causes. Together they tilt the mean by less than 1e-5 of its size.
+WORN = StillSettings(
+    window=10.0,
+    shortest=5.0,
+    variance_ratio=2.25,
+    range_ratio=12.0,
+    sway=3.3 * MG,
+    quietest=0.05,
+)
 
 
 def _postures_begin(w: Windows, chosen: Index) -> Index:
@@ -57,11 +81,6 @@ def _postures_begin(w: Windows, chosen: Index) -> Index:
         # The first far window of each run begins a new one.
         first = np.unique(owner[far], return_index=True)[1]
         starts = np.union1d(starts, np.flatnonzero(far)[first])
-
-
-_RATIO = 1.3  # between two sizes of gravity that no sensor's errors explain
-_CLEARER = 5.0  # times that two levels leave less scatter than one: a steady drift leaves a quarter
-_FEWEST = 5  # windows on either side
 
 
 def two_ranges(size: Array) -> tuple[int, float, float] | None:
@@ -128,7 +147,7 @@ class _TailBuilder:
             self._begin = float(t[0])
         elif gaps or t.size < w:
             t, values = np.concatenate([self._t, t]), np.concatenate([self._values, values])
-        edges = breaks(t, gaps).tolist() if gaps else []
+        edges = find_breaks(t, gaps).tolist() if gaps else []
         for a, b in pairwise([0, *edges]):
             if b - a >= w:
                 self.tails.append(Tail(self._begin, t[b - w : b].copy(), values[b - w : b].copy()))
@@ -160,19 +179,6 @@ def _add_tails(windows: Windows, tails: Sequence[Tail]) -> Windows:
     return whole.take(np.argsort(whole.start, kind="stable"))
 
 
-#: Chance up to which noise has not done it: e^-60, for samples of a filter are not independent.
-_NATS = 60.0
-#: Noise in steps from which the resolution shows it.
-_SHOWN = 0.5
-#: Seconds at least, and share of gravity by which another axis moves meanwhile.
-_SECONDS, _MOVED = 60.0, 0.2
-_FAR, _ENDS = _MOVED * STANDARD_GRAVITY, 2
-#: Noise of an axis that is still, and steps of its mean from window to window, in its own noise.
-_CALM, _ON = 3.0, 2.0
-#: Share of gravity from which on a limit is beyond every rest, whatever the bias.
-_BEYOND = 1.1
-
-
 def _stuck(sensor: Sensor) -> tuple[Flags, list[str]]:
     """Windows (m,) in which an axis repeats one number while it should not, or did within a window;
     words of each such axis. At the end of the recording's own range that is clipping, `_limits`.
@@ -180,7 +186,7 @@ def _stuck(sensor: Sensor) -> tuple[Flags, list[str]]:
     w = sensor.windows
     found = np.zeros(w.start.size, dtype=np.bool_)
     constant = w.high == w.low
-    frozen = every(constant)
+    frozen = all_axes(constant)
     words = []
     for axis in np.flatnonzero((constant & ~frozen[:, None]).any(axis=0)):
         dead = _dead(sensor, int(axis), constant[:, axis], frozen)
@@ -238,7 +244,7 @@ def _held(sensor: Sensor, axis: int, known: Flags) -> Flags:
     joined &= np.abs(np.diff(value)) <= _ON * noise[axis]
     starts = np.flatnonzero(np.append(True, ~joined)).astype(np.intp)
     count = np.diff(starts, append=value.size)
-    still = every(calm)
+    still = all_axes(calm)
     largest = np.maximum.reduceat(np.where(still, size, -np.inf), starts)
     smallest = np.minimum.reduceat(np.where(still, size, np.inf), starts)
     long = count * w.samples >= _SECONDS * sensor.rate
@@ -250,9 +256,11 @@ def _move(w: Windows, axis: int, starts: Index) -> Flags:
     """Whether another axis moves far within each stretch, by more than the motion that may reach
     into its first and last window with a sample or two."""
     others = [k for k in range(w.high.shape[1]) if k != axis]
-    mean, far = w.mean[:, others], some(w.high[:, others] - w.low[:, others] > _FAR)
+    mean, far = w.mean[:, others], any_axis(w.high[:, others] - w.low[:, others] > _FAR)
     reach = np.maximum.reduceat(mean, starts) - np.minimum.reduceat(mean, starts)
-    return np.asarray(some(reach > _FAR) | (np.add.reduceat(far.astype(np.intp), starts) > _ENDS))
+    return np.asarray(
+        any_axis(reach > _FAR) | (np.add.reduceat(far.astype(np.intp), starts) > _ENDS)
+    )
 
 
 def _when(sensor: Sensor, flags: Flags) -> str:
@@ -268,8 +276,8 @@ def _limits(sensor: Sensor) -> list[str]:
     if not sensor.fine:
         return found
     constant = w.high == w.low
-    quiet = every(w.variance <= sensor.settings.variance_ratio * sensor.allowed**2)
-    single = constant & ~every(constant)[:, None] & quiet[:, None]
+    quiet = all_axes(w.variance <= sensor.settings.variance_ratio * sensor.allowed**2)
+    single = constant & ~all_axes(constant)[:, None] & quiet[:, None]
     for axis, name in enumerate("xyz"[: constant.shape[1]]):
         for value, word in ((w.high[:, axis].max(), "above"), (w.low[:, axis].min(), "below")):
             size = float(value) / STANDARD_GRAVITY
@@ -280,19 +288,6 @@ def _limits(sensor: Sensor) -> list[str]:
                     "that limit and are left out; what lies beyond it no calibration brings back"
                 )
     return found
-
-
-#: Of a worn sensor: ten-second windows, as the field uses, three axes, noise plus a sway of 3 mg
-#: that breathing causes. Together they tilt the mean by less than 1e-5 of its size.
-WORN = StillSettings(
-    window=10.0,
-    shortest=5.0,
-    trim=0,
-    variance_ratio=2.25,
-    range_ratio=12.0,
-    sway=3.3 * MG,
-    quietest=0.05,
-)
 
 
 @dataclass(frozen=True)
@@ -382,13 +377,9 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
                 rate, samples = rate or channel.rate, samples + channel.t.size
                 stop = max(stop, float(channel.t[-1])) if channel.t.size else stop
     if first is None or tails is None:
-        raise UsageError(
-            "the recording has no acceleration channel",
-            where=first.path if first else "",
-            remedy="`imucal inspect FILE` lists what it has; name the columns with --acc X,Y,Z",
-        )
+        raise undecided((), "", first.path if first else "")
     held = [h for h in held if h.channel == f"{name}/acceleration"]
-    ordered, lost = usable(
+    ordered, lost = usable_windows(
         builders["acceleration"],
         held,
         f"{name}/acceleration",

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.errors import UsageError
 from imucalib.recording.recording import HeldSamples, Recording
+from imucalib.recording.sensors import undecided
 from imucalib.rests.candidates import Candidate, candidates_of
 from imucalib.rests.spans import SensorView
 from imucalib.rests.stillness import Sensor, StillSettings
-from imucalib.rests.windows import KeptSamples, WindowBuilder, Windows, usable
+from imucalib.rests.windows import KeptSamples, WindowBuilder, Windows, usable_windows
 
 _SHORTER = "record longer, or state a shorter rest with --shortest-rest"
 # Acceleration takes part in any unit; an angular rate or a temperature without a scale cannot.
@@ -113,11 +113,7 @@ def find_segments(blocks: Iterable[Recording], settings: StillSettings | None = 
         passed.add(block)
     every, notes = passed.seen()
     if not every:
-        raise UsageError(
-            "the recording has no acceleration channel",
-            where=passed.path,
-            remedy="`imucal inspect FILE` lists what it has; name the columns with --acc X,Y,Z",
-        )
+        raise undecided((), "", passed.path)
     notes += [note for one in every for note in one.kinds.notes]
     candidates, more = candidates_of(every)
     rests = [c for c in candidates if not c.reason]
@@ -169,7 +165,7 @@ class _Pass:
                 continue
             name, rate = f"{triad}/{quantity}", self._rates[quantity, triad]
             held = [h for h in self._held if h.channel == name]
-            ordered, lost = usable(builder, held, name, self.path, _SHORTER)
+            ordered, lost = usable_windows(builder, held, name, self.path, _SHORTER)
             every.append(
                 SensorView(Sensor(triad, quantity, rate, ordered, self.settings), self.samples)
             )

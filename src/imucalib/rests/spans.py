@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.rests.stillness import Kinds, Sensor, every, kinds_of
+from imucalib.rests.stillness import Kinds, Sensor, all_axes, kinds_of
 from imucalib.rests.windows import KeptSamples
 from imucalib.units import DEG
 
@@ -53,24 +53,6 @@ class WindowNoise:
         return np.asarray(self.colour * self.sd / np.sqrt(samples))
 
 
-def colour_of(sensor: Sensor, still: Flags) -> float:
-    """How much more the means of windows scatter than white noise would let them; 1 to 3.
-
-    A low-pass filter in the chip makes neighbouring samples depend on each other, so that their
-    mean is worth less.
-    """
-    w = sensor.windows
-    pairs = np.flatnonzero(still[1:] & still[:-1] & w.following)
-    if pairs.size < _PAIRS:
-        return 1.0
-    one = pairs[:: max(1, pairs.size // _PAIRS_LOOKED_AT)]
-    two, least = one + 1, np.square(sensor.step) / 6.0 + np.finfo(float).tiny
-    ratio = np.square(w.mean[two] - w.mean[one]) * w.samples
-    ratio /= w.variance[two] + w.variance[one] + least
-    # The median of a squared normal number is 0.455 of its variance.
-    return float(np.sqrt(np.clip(np.median(ratio) / 0.455, 1.0, _REDDEST**2)))
-
-
 def whiteness(values: Array) -> float:
     """Half the mean square of successive differences over the variance, least of the axes: 1 for
     white noise, near 0 for a slow motion (von Neumann, 1941)."""
@@ -103,16 +85,16 @@ def _groups(sensor: Sensor, kinds: Kinds) -> list[WindowGroup]:
     own = np.sqrt(np.maximum(w.variance[chosen], noise**2))
     size = np.maximum(own[1:], own[:-1]) if kinds.louder.any() else noise
     change = np.abs(np.diff(w.mean[chosen], axis=0))
-    limit = sensor.settings.drift_ratio * size + 6.0 * size * np.sqrt(2.0 / w.samples)
+    limit = size + 6.0 * size * np.sqrt(2.0 / w.samples)
     next_to = (np.diff(chosen) == 1) & (np.diff(w.run[chosen]) == 0)
     drifting = np.zeros(chosen.size, dtype=np.bool_)
     if not sensor.turns:
         # A turn is judged as a whole: a noise of a few µg must not cut it into rests.
         limit = np.maximum(limit, _STEP * sensor.gravity(kinds.still))
-    together = next_to & every(change <= limit)
+    together = next_to & all_axes(change <= limit)
     if not sensor.turns:
         # What moves between still windows by more than their range is a jump.
-        linked = next_to & every(change <= np.maximum(sensor.settings.range_ratio * size, limit))
+        linked = next_to & all_axes(change <= np.maximum(sensor.settings.range_ratio * size, limit))
         drifting = _drifting(sensor, chosen, together, linked)
         together |= linked & drifting[1:] & drifting[:-1]
     return [
@@ -170,8 +152,21 @@ class SensorView:
 
     @cached_property
     def colour(self) -> float:
-        """Of its noise, see `colour_of`."""
-        return colour_of(self.sensor, self.kinds.still)
+        """How much more the means of its windows scatter than white noise would let them; 1 to 3.
+
+        A low-pass filter in the chip makes neighbouring samples depend on each other, so that
+        their mean is worth less.
+        """
+        w, still = self.sensor.windows, self.kinds.still
+        pairs = np.flatnonzero(still[1:] & still[:-1] & w.following)
+        if pairs.size < _PAIRS:
+            return 1.0
+        one = pairs[:: max(1, pairs.size // _PAIRS_LOOKED_AT)]
+        two, least = one + 1, np.square(self.sensor.step) / 6.0 + np.finfo(float).tiny
+        ratio = np.square(w.mean[two] - w.mean[one]) * w.samples
+        ratio /= w.variance[two] + w.variance[one] + least
+        # The median of a squared normal number is 0.455 of its variance.
+        return float(np.sqrt(np.clip(np.median(ratio) / 0.455, 1.0, _REDDEST**2)))
 
     @cached_property
     def usual(self) -> float:
@@ -204,8 +199,7 @@ class SensorView:
     def _of_windows(self, group: WindowGroup) -> Span | None:
         """The span whose ends are windows: one at each end, where the hand still touches, is left
         out."""
-        w, trim = self.sensor.windows, self.sensor.settings.trim
-        inner = group.windows[trim : group.windows.size - trim]
+        w, inner = self.sensor.windows, group.windows[1:-1]
         if not inner.size:
             return None
         a, b = int(inner[0]), int(inner[-1])
@@ -238,7 +232,7 @@ class SensorView:
         back, rate = way[1] < way[0], self.sensor.rate
         t = self.samples.times(self.key, min(way), max(way))
         values = self.samples.values(self.key, min(way), max(way))
-        cuts = self.samples.breaks(t)
+        cuts = self.samples.find_breaks(t)
         if cuts.size:
             values = values[int(cuts[-1]) :] if back else values[: int(cuts[0])]
         off = (values[::-1] if back else values) - mean

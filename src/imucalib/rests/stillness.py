@@ -16,6 +16,10 @@ from imucalib.arrays import Array, Flags
 from imucalib.errors import UsageError
 from imucalib.rests.windows import Windows
 
+_FEWEST = 5  # samples of a window
+#: rad/s, deviation of the angular rate that a rest in the hand may have: during half a second it
+#: tilts by 1.4°, which changes a mean norm by less than 1e-4.
+_TURNING = 0.05
 _FROZEN_SECONDS = 60.0
 #: Largest noise of an accelerometer at rest, as a share of gravity: ten times that of the noisiest
 #: common ones. Only a resolution of this size hides more. What is above shakes.
@@ -26,48 +30,41 @@ _WITNESSES = 5000  # windows that the size of gravity is estimated from
 _POSTURES = 5  # different constant readings of gravity's size that a dead sensor does not have
 _SINGLE = 3  # windows in which one axis stands still beside others, as in none of a live sensor
 _SIZE = 0.2  # share of gravity by which the size of a reading at rest may be off
+_LOUDER = 5.0  # times the quietest noise that a sensor's own noise may grow to
+_LEVELS = 2  # louder noises that are looked for
+_SHARED = 10  # windows that must share a louder noise
+_ALIKE = 4.0  # ratio of the variances of neighbours, at most; standard errors between their means
+_SLOW = 0.03  # share of gravity that a slow turn may change the reading by in a window
+_OUTLIER = 0.1  # share of gravity by which a dropout differs from the samples around it
 
 
 @dataclass(frozen=True)
 class StillSettings:
     """Settings of the detector; the defaults suit bench logs with rests of a second and more.
 
-    window : s, at most half of `shortest` is used; fewest : samples that a window has at least
-    shortest : s, of a rest; longest : s, a longer rest is split, or None
-    trim : windows cut off at both ends of a rest where the samples themselves are not at hand
+    window : s, at most half of `shortest` is used
+    shortest : s, of a rest
     variance_ratio : variance of a still window over the noise variance, at most, on each axis
     range_ratio : max - min of a still window over the noise standard deviation, at most
-    drift_ratio : change of the mean between neighbouring windows, over the noise, at most
-    turning : rad/s, deviation of the angular rate that a rest in the hand may have; 0.05 rad/s
-        during half a second tilts by 1.4°, which changes a mean norm by less than 1e-4
     sway : m/s², standard deviation of the acceleration that a worn sensor at rest may have beside
         its noise (breathing, slow rolls); 0 for a sensor on a bench
     quietest : share of the windows that is surely still in a recording worth calibrating
     """
 
     window: float = 0.5
-    fewest: int = 5
     shortest: float = 1.0
-    longest: float | None = None
-    trim: int = 1
     variance_ratio: float = 4.0
     range_ratio: float = 10.0
-    drift_ratio: float = 1.0
-    turning: float = 0.05
     sway: float = 0.0
     quietest: float = 0.01
 
     def __post_init__(self) -> None:
-        for name in ("window", "shortest", "variance_ratio", "range_ratio", "drift_ratio"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise UsageError(
-                    f"{name} = {value} is not a positive number", where="still settings"
-                )
+        if not (np.isfinite(self.shortest) and self.shortest > 0):
+            raise UsageError(f"shortest = {self.shortest} is not a positive number")
 
     def samples(self, rate: float) -> int:
         """Samples of a window at a rate (Hz): two windows fit into the shortest rest."""
-        return max(self.fewest, round(min(self.window, 0.5 * self.shortest) * rate))
+        return max(_FEWEST, round(min(self.window, 0.5 * self.shortest) * rate))
 
 
 @dataclass(frozen=True)
@@ -98,7 +95,7 @@ class Sensor:
         the second and last. Quantisation, step²/12, is the floor.
         """
         # A constant axis is dead or clipped, unless the resolution hides the noise.
-        moving = every(self.windows.high > self.windows.low)
+        moving = all_axes(self.windows.high > self.windows.low)
         chosen = moving if self.fine and moving.any() else np.ones_like(moving)
         return self.level(chosen | self.zone)
 
@@ -107,7 +104,7 @@ class Sensor:
         """Windows in which a gyroscope reads one number as in other stretches before, or zero: it
         has a dead zone, and is no more frozen than any gyroscope at rest."""
         w = self.windows
-        constant = every(w.high == w.low)
+        constant = all_axes(w.high == w.low)
         if not self.turns or not constant.any():
             return np.zeros_like(constant)
         rows = np.flatnonzero(constant)
@@ -115,7 +112,7 @@ class Sensor:
         begins = np.append(True, (np.diff(rows) > 1) | (np.diff(kind.ravel()) != 0))
         if len(begins) == len(constant) and begins.sum() == 1:  # a dead one is no witness of motion
             return constant
-        if np.any(self.level(~constant) > self.settings.turning):  # else it would never rest
+        if np.any(self.level(~constant) > _TURNING):  # else it would never rest
             return constant
         often = np.bincount(kind.ravel()[begins])[kind.ravel()] >= _ZONE
         zone = np.zeros_like(constant)
@@ -132,15 +129,15 @@ class Sensor:
         """
         w = self.windows
         moving = w.high > w.low
-        either, whole = some(moving), every(moving)
+        either, whole = any_axis(moving), all_axes(moving)
         live = whole if 2 * whole.sum() > either.sum() else either
         noise = self.level(live if live.any() else np.ones_like(live))
-        quiet = every(w.variance <= (3.0 * self.step) ** 2)
+        quiet = all_axes(w.variance <= (3.0 * self.step) ** 2)
         alone = quiet & either & ~whole
         shown = bool(np.all(noise > 2.0 * self.step))
         if (shown or alone.sum() >= _SINGLE) and self._hidden(noise):
             return False
-        extreme = some(~moving & _at_extreme(w))
+        extreme = any_axis(~moving & _at_extreme(w))
         return shown or bool((quiet & whole).sum() > (alone & ~extreme).sum())
 
     def _hidden(self, noise: Array) -> bool:
@@ -149,13 +146,13 @@ class Sensor:
         What moves is then motion: it comes in all sizes, and seldom twice with one mean.
         """
         w = self.windows
-        stepped = self._postures(every(w.high == w.low))
+        stepped = self._postures(all_axes(w.high == w.low))
         postures = np.unique(w.mean[stepped], axis=0)
         if not len(postures) or np.any(noise > self.loudest(stepped)):
             return len(postures) > 0
-        live = every((w.variance <= 3.0 * noise**2) & (w.high > w.low))
+        live = all_axes((w.variance <= 3.0 * noise**2) & (w.high > w.low))
         pairs = live[1:] & live[:-1] & w.following
-        pairs &= every(np.abs(np.diff(w.mean, axis=0)) <= noise)
+        pairs &= all_axes(np.abs(np.diff(w.mean, axis=0)) <= noise)
         return len(postures) > int(pairs.sum())
 
     @property
@@ -172,7 +169,7 @@ class Sensor:
         for turn in range(4):
             if turn:
                 level = np.maximum(level, floor)
-                inside = chosen & every(variance <= 3.0 * level)
+                inside = chosen & all_axes(variance <= 3.0 * level)
             if inside.any():  # axis by axis: the windows of weeks are large
                 level = np.array([np.median(axis[inside]) for axis in variance.T])
         return np.asarray(np.sqrt(np.maximum(level, floor)))
@@ -181,7 +178,7 @@ class Sensor:
     def allowed(self) -> Array:
         """(3,) standard deviation that it may have at rest."""
         if self.turns:
-            least = self.settings.turning / np.sqrt(self.settings.variance_ratio)
+            least = _TURNING / np.sqrt(self.settings.variance_ratio)
             return np.asarray(np.maximum(self.noise, least))
         return np.asarray(np.hypot(self.noise, self.settings.sway))
 
@@ -201,8 +198,8 @@ class Sensor:
     def quieter_than(self, level: Array) -> Flags:
         """Windows whose variance and range a noise of some standard deviation explains."""
         w = self.windows
-        quiet = every(w.variance <= self.settings.variance_ratio * level**2)
-        return quiet & every(w.high - w.low <= self.settings.range_ratio * level)
+        quiet = all_axes(w.variance <= self.settings.variance_ratio * level**2)
+        return quiet & all_axes(w.high - w.low <= self.settings.range_ratio * level)
 
     @property
     def frozen(self) -> Flags:
@@ -213,12 +210,12 @@ class Sensor:
         own last as long.
         """
         w = self.windows
-        constant = every(w.high == w.low) & ~self.zone
+        constant = all_axes(w.high == w.low) & ~self.zone
         if self.fine:
             # The window before or after one that is frozen through and through is so in part.
             after = np.append(False, constant[:-1] & w.following)
             return np.asarray(constant | after | np.append(constant[1:] & w.following, False))
-        same = constant & np.append(False, every(w.mean[1:] == w.mean[:-1]))
+        same = constant & np.append(False, all_axes(w.mean[1:] == w.mean[:-1]))
         starts = np.flatnonzero(~same)
         lengths = np.diff(starts, append=same.size)
         needed = _FROZEN_SECONDS * self.rate / w.samples
@@ -241,7 +238,7 @@ class Sensor:
         move."""
         w = self.windows
         constant = w.high == w.low
-        return np.asarray(some(constant & _at_extreme(w)) & ~every(constant) & self.fine)
+        return np.asarray(any_axis(constant & _at_extreme(w)) & ~all_axes(constant) & self.fine)
 
 
 def still_windows(sensor: Sensor) -> tuple[Flags, list[str]]:
@@ -261,14 +258,6 @@ def still_windows(sensor: Sensor) -> tuple[Flags, list[str]]:
         notes.append(f"{name}: shakes by {1e3 * share:.3g} mg even where it is quietest")
         quiet[:] = False
     return quiet, notes
-
-
-_LOUDER = 5.0  # times the quietest noise that a sensor's own noise may grow to
-_LEVELS = 2  # louder noises that are looked for
-_SHARED = 10  # windows that must share a louder noise
-_ALIKE = 4.0  # ratio of the variances of neighbours, at most; standard errors between their means
-_SLOW = 0.03  # share of gravity that a slow turn may change the reading by in a window
-_OUTLIER = 0.1  # share of gravity by which a dropout differs from the samples around it
 
 
 @dataclass(frozen=True)
@@ -301,14 +290,14 @@ def kinds_of(sensor: Sensor) -> Kinds:
     kinds = Kinds(still=still, notes=tuple(notes), **others)
     if still.all():
         return kinds
-    spiky, moving = _spiky(sensor), every(w.high > w.low)
+    spiky, moving = _spiky(sensor), all_axes(w.high > w.low)
     steady = _steady(sensor, still) & moving & ~spiky
     if not still.any():
         return replace(kinds, shaking=steady, spiky=spiky)
     base, louder = sensor.allowed, none.copy()
     top = np.minimum(_LOUDER * base, np.maximum(sensor.loudest(still), base))
     for _ in range(_LEVELS):
-        rest = steady & ~louder & every(w.variance <= ratio * top**2)
+        rest = steady & ~louder & all_axes(w.variance <= ratio * top**2)
         if rest.sum() < _SHARED:
             break
         level = np.maximum(sensor.level(rest), base)
@@ -316,10 +305,10 @@ def kinds_of(sensor: Sensor) -> Kinds:
         if np.any(level > top) or found.sum() < _SHARED:
             break
         louder |= found
-    other = steady & ~louder & every(w.variance <= top**2)
+    other = steady & ~louder & all_axes(w.variance <= top**2)
     slow = ~still & ~louder & ~spiky & moving
     if not sensor.turns:
-        slow &= every(w.high - w.low <= _SLOW * sensor.gravity(still))
+        slow &= all_axes(w.high - w.low <= _SLOW * sensor.gravity(still))
     return replace(
         kinds,
         still=still | louder,
@@ -339,8 +328,8 @@ def _steady(sensor: Sensor, still: Flags) -> Flags:
     two, least = one + 1, np.square(sensor.step) / 12.0
     before, after = w.variance[one] + least, w.variance[two] + least
     apart = np.square(w.mean[two] - w.mean[one]) * w.samples
-    pair = every(apart <= _ALIKE**2 * (before + after))
-    pair &= every((before <= _ALIKE * after) & (after <= _ALIKE * before))
+    pair = all_axes(apart <= _ALIKE**2 * (before + after))
+    pair &= all_axes((before <= _ALIKE * after) & (after <= _ALIKE * before))
     steady = np.zeros_like(still)
     steady[one[pair]] = steady[two[pair]] = True
     return steady & ~still
@@ -358,15 +347,15 @@ def _spiky(sensor: Sensor) -> Flags:
     reach = w.high - w.low
     far = reach > _OUTLIER * sensor.gravity()
     lone = w.variance * w.samples <= 1.6 * reach**2
-    return np.asarray(some(far) & every(~far | lone))
+    return np.asarray(any_axis(far) & all_axes(~far | lone))
 
 
-def every(flags: Flags) -> Flags:
+def all_axes(flags: Flags) -> Flags:
     """All of each row, column by column: rows of three are slow to reduce."""
     return np.asarray(reduce(np.logical_and, flags.T))
 
 
-def some(flags: Flags) -> Flags:
+def any_axis(flags: Flags) -> Flags:
     """Any of each row."""
     return np.asarray(reduce(np.logical_or, flags.T))
 

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.effects.thermal import LAG, PLAY, RATE, ROWS
@@ -31,6 +32,13 @@ _NOISE = 8.0  # standard deviations (by the median)
 _STEPS = 1.5  # steps of the resolution
 _CODES = (85.0, -127.0)  # °C that it says after power-up, and where it does not answer
 _HALF = 0.5  # share of jumps from which on nothing of a thermometer is believed
+_WINDOW = 10.0  # s
+_SILENT = 3600.0  # s without a reading after which nothing is known of the way to the next one
+#: Covariates that a recording with a clock and a thermometer has.
+REMEMBERED = tuple(past.covariate(value) for past in (LAG, PLAY, RATE) for value in past.values)
+#: Power that the temperature itself shows of what is made of it, from which on it is that: a play's
+#: noise, and a lag's change within a recording beside recordings at temperatures of their own.
+_PLAIN = {PLAY.prefix: 0.97, LAG.prefix: 0.999}
 
 
 def believable_windows(w: Windows | None) -> tuple[ThermalHistory | None, tuple[str, ...]]:
@@ -125,11 +133,6 @@ def _step(values: Array) -> float:
     return float(apart.min()) if apart.size else 0.0
 
 
-_WINDOW = 10.0  # s
-_FORGOTTEN = 20.0  # decays
-_SILENT = 3600.0  # s without a reading after which nothing is known of the way to the next one
-
-
 @dataclass(frozen=True)
 class ThermalHistory:
     """time (m,) s, of the middles of the windows; values (m,) °C, their means; gone : (k, 2) s, in
@@ -188,19 +191,11 @@ def _with_play(values: Array, width: float) -> Array:
 
 
 def _trailing(values: Array, share: float) -> Array:
-    """y_k = y_{k-1} + share (x_k - y_{k-1}) from equilibrium, in stretches over which a reading's
-    weight falls to e^-20: in sums the decay is a factor, and there none overflows."""
-    if share >= 1.0:
-        return values
-    decay = -np.log1p(-share)
-    found, last = np.empty_like(values), values[0]
-    length = max(1, int(_FORGOTTEN / decay))
-    for start in range(0, values.size, length):
-        some = values[start : start + length]
-        fallen = np.exp(-decay * np.arange(1, some.size + 1))
-        found[start : start + length] = fallen * (last + np.cumsum(share * some / fallen))
-        last = found[start + some.size - 1]
-    return found
+    """y_k = y_{k-1} + share (x_k - y_{k-1}) from equilibrium, as one system of equations."""
+    own, before = np.ones(values.size), np.full(values.size, share - 1.0)
+    right = share * values
+    right[0] = values[0]
+    return np.asarray(solve_banded((1, 0), np.stack([own, before]), right))
 
 
 def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory | None:
@@ -240,7 +235,7 @@ def temperature_at(thermometer: Channel, at: Array) -> Array:
     return np.where(alone, values[before], found)
 
 
-def unheard(thermometer: Channel, history: ThermalHistory, at: Array) -> Flags:
+def lacks_temperature(thermometer: Channel, history: ThermalHistory, at: Array) -> Flags:
     """(n,) whether there is no temperature at times (s): at a reading that is gone, and between it
     and its neighbours."""
     t, bad = thermometer.t, is_gone(history.gone, thermometer.t)
@@ -281,13 +276,6 @@ def pair_thermometer(
                 track = replace(track, t=track.t[first_kept:], values=track.values[first_kept:])
     for block, _ in waiting:
         yield block, track
-
-
-#: Covariates that a recording with a clock and a thermometer has.
-REMEMBERED = tuple(past.covariate(value) for past in (LAG, PLAY, RATE) for value in past.values)
-#: Power that the temperature itself shows of what is made of it, from which on it is that: a play's
-#: noise, and a lag's change within a recording beside recordings at temperatures of their own.
-_PLAIN = {PLAY.prefix: 0.97, LAG.prefix: 0.999}
 
 
 def is_remembered(name: str) -> bool:

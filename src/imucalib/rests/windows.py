@@ -24,6 +24,9 @@ Key = tuple[str, str]
 #: Numbers that are kept of a recording in blocks: 128 MB, or a day of one triad at 65 Hz. A
 #: recording that is one block is in memory anyway, and all of it is at hand.
 KEPT = 1 << 24
+_COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
+_CACHE = 1 << 19  # bytes that are worked on at a time
+_EVERY = 8  # one in so many pieces is looked at for the resolution
 
 
 class KeptSamples:
@@ -72,15 +75,10 @@ class KeptSamples:
             if at < last and at + part.t.size > first:
                 yield part, slice(max(first - at, 0), last - at)
 
-    def breaks(self, t: Array) -> Index:
+    def find_breaks(self, t: Array) -> Index:
         """Where a stretch of samples at times t is broken by a gap or a step back of time."""
         within = [g for g in self._gaps if t.size and g.stop > t.min() and g.start < t.max()]
-        return breaks(t, within)
-
-
-_COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
-_CACHE = 1 << 19  # bytes that are worked on at a time
-_EVERY = 8  # one in so many pieces is looked at for the resolution
+        return find_breaks(t, within)
 
 
 @dataclass(frozen=True)
@@ -143,7 +141,7 @@ class WindowBuilder:
         if self._values is not None and self._t.size:
             t, values = np.concatenate([self._t, t]), np.concatenate([self._values, values])
         end = 0
-        for k, (a, b) in enumerate(pairwise([0, *breaks(t, gaps).tolist(), t.size])):
+        for k, (a, b) in enumerate(pairwise([0, *find_breaks(t, gaps).tolist(), t.size])):
             self._run += k > 0
             end = a + (b - a) // w * w
             if end > a:
@@ -199,7 +197,7 @@ def drop_held(windows: Windows, held: Sequence[HeldSamples]) -> Windows:
     return replace(windows, run=windows.run + stretch).take(~within)
 
 
-def usable(
+def usable_windows(
     builder: WindowBuilder,
     held: Sequence[HeldSamples],
     name: str,
@@ -261,7 +259,7 @@ def window_statistics(cube: NDArray[np.generic]) -> tuple[Array, Array, Array, A
     return mean, variance, low, high, finest
 
 
-def breaks(t: Array, gaps: Sequence[Gap]) -> Index:
+def find_breaks(t: Array, gaps: Sequence[Gap]) -> Index:
     """Indices i such that sample i does not follow sample i - 1; 0 when it starts a new run."""
     back = np.flatnonzero(t[1:] < t[:-1]) + 1
     found = set(back.tolist())

@@ -42,7 +42,11 @@ class Writer(Protocol):
 
 
 class ChannelsChange(UsageError):
-    """A block has channels that the format had to know from the first on."""
+    """A block has channels that the format had to know from the first on. where : the recording"""
+
+    def __init__(self, channels: str, where: str) -> None:
+        what = f"channels change within the recording: {channels}"
+        super().__init__(what, where=where, remedy="write HDF5 (.h5) instead")
 
 
 class Noted:

@@ -52,12 +52,8 @@ class CsvWriter:
                         marks += f"# serial number: {printable(recording.serial)}\n"
                     out.write(marks + ",".join(_names(empty)) + "\n")
                 if not set(channels) <= set(empty):
-                    raise ChannelsChange(
-                        f"channels change within the recording: {', '.join(empty)}, then "
-                        f"{', '.join(channels)}",
-                        where=recording.path,
-                        remedy="write HDF5 (.h5) instead",
-                    )
+                    both = f"{', '.join(empty)}, then {', '.join(channels)}"
+                    raise ChannelsChange(both, recording.path)
                 if channels:
                     count += _append(out, {**empty, **channels}, recording.path)
             if empty:

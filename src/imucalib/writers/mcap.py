@@ -67,6 +67,13 @@ _QUANTITIES = {
     f"{_SPUN}{_DOUBTED}": ("rad2/s4", 9, f"{_SPUN}{_DOUBTED}"),
     REST: ("", len(REST_COLUMNS), REST),
 }
+_IMU: dict[str, tuple[int, tuple[int, ...]]] = {
+    "no_orientation": (32, ()),
+    "angular_rate": (104, (3,)),
+    f"angular_rate{_DOUBTED}": (128, (9,)),
+    "acceleration": (200, (3,)),
+    f"acceleration{_DOUBTED}": (224, (9,)),
+}
 
 
 class _Message(NamedTuple):
@@ -79,13 +86,6 @@ class _Message(NamedTuple):
     fields: dict[str, tuple[int, tuple[int, ...]]]
 
 
-_IMU: dict[str, tuple[int, tuple[int, ...]]] = {
-    "no_orientation": (32, ()),
-    "angular_rate": (104, (3,)),
-    f"angular_rate{_DOUBTED}": (128, (9,)),
-    "acceleration": (200, (3,)),
-    f"acceleration{_DOUBTED}": (224, (9,)),
-}
 MESSAGES = (
     _Message("sensor_msgs/msg/Imu", IMU_ROS2, 296, _IMU),
     # Counts are no m/s2: another type says so.
@@ -298,7 +298,7 @@ class Output:
             np.array_equal(first.t, channel.t) for channel in found.values()
         )
         if not same or _kind(recording, self.channels) != (self.message, self.metadata):
-            raise _change_messages(recording, self.channels)
+            raise ChannelsChange(", ".join(self.channels), recording.path)
         steps = np.rint(first.t * 1e9).astype(np.int64)
         start = recording.start_ns or 0
         self.ns, self.log = start + steps, start + origin + steps
@@ -432,14 +432,6 @@ def _demand_messages(recording: Recording) -> None:
             )
 
 
-def _change_messages(recording: Recording, channels: Iterable[str]) -> ChannelsChange:
-    return ChannelsChange(
-        f"channels change within the recording: {', '.join(channels)}",
-        where=recording.path,
-        remedy="write HDF5 (.h5) instead",
-    )
-
-
 def put_block(file: McapFile, outputs: list[Output], recording: Recording, origin: int = 0) -> None:
     """Write a block of a recording in chunks of about 128 KiB, the topics in order of time.
 
@@ -449,7 +441,7 @@ def put_block(file: McapFile, outputs: list[Output], recording: Recording, origi
     _demand_messages(recording)
     unknown = set(recording.channels) - {name for output in outputs for name in output.channels}
     if unknown:
-        raise _change_messages(recording, sorted(unknown))
+        raise ChannelsChange(", ".join(sorted(unknown)), recording.path)
     for output in outputs:
         output.take(recording, origin)
     counts = [output.ns.size for output in outputs]

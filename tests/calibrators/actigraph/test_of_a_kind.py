@@ -127,7 +127,7 @@ def test_an_effect_of_the_fleet_needs_what_drives_it_and_no_more() -> None:
     [
         (("--every", "1h"), KIND, "--every knows no prior"),
         (("--as-published",), KIND, "--as-published knows no prior"),
-        ((), replace(KIND, reference="vector"), "by the size of gravity"),
+        ((), replace(KIND, reference="vector"), "this device is by norm"),
     ],
 )
 def test_what_knows_no_prior_is_refused(

@@ -142,7 +142,7 @@ def _of_gyroscope(
     for name, effect in gyro_effects(request.extra_effects).items():
         if name in out or (request.only and name not in request.only):
             continue
-        if reason := effect.find_missing(context):
+        if reason := effect.missing(context):
             missing[name] = reason
         else:
             found[name] = "name", "", [effect]

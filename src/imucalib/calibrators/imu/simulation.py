@@ -90,8 +90,8 @@ def _plant_rates(
     truth, context = exposure(rate, up, t, LogCourse(np.zeros(1), t[-1:], t, None))
     for name, values in planted.items():
         effect = known.get(name)
-        if effect is None or effect.find_missing(context):
-            able = (n for n, e in known.items() if not e.find_missing(context))
+        if effect is None or effect.missing(context):
+            able = (n for n, e in known.items() if not e.missing(context))
             raise UsageError(f"cannot plant {name}", remedy=f"known: {', '.join(able)}")
         if len(values) not in (1, len(effect.each)):
             raise UsageError(f"{name} takes one value, or {len(effect.each)}")

@@ -20,7 +20,7 @@ from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, says_someth
 from imucalib.errors import UnnamedColumns, UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
 from imucalib.question import paste
-from imucalib.readers.csv.table import Cells, and_more, selected, table_cells
+from imucalib.readers.csv.table import Cells, and_more, select_rows, table_cells
 from imucalib.readers.csv.text import few_values, is_blank, is_number
 from imucalib.readers.devices.catalogue import refuse_foreign
 from imucalib.readers.fields.source import head_of
@@ -245,7 +245,7 @@ def cells_of(
     if head.startswith(_HDF5):
         columns = table_columns(path, most)
         count = len(next(iter(columns.values()), ()))
-        return selected(Cells(columns, tuple(range(1, count + 1)), count), mapping, str(path))
+        return select_rows(Cells(columns, tuple(range(1, count + 1)), count), mapping, str(path))
     return table_cells(path, mapping, exclude, most)
 
 

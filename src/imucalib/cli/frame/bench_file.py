@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
-from imucalib.cli.frame.options import no_limit
+from imucalib.cli.frame.options import no_limit, retype
 
 NAME = "imucal.toml"
 #: Never read from a file that lies about: code to run, and where to write.
@@ -56,19 +57,6 @@ def defaults(command: click.Command, stated: Mapping[str, Any]) -> dict[str, Any
     return found
 
 
-def from_file(ctx: click.Context) -> list[str]:
+def from_file() -> list[str]:
     """The options that came from the file, as they would be typed."""
-    typed = []
-    for parameter in ctx.command.params:
-        name = parameter.name or ""
-        if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT_MAP:
-            continue
-        long = next(o for o in parameter.opts if o.startswith("--"))
-        value = ctx.params[name]
-        if isinstance(parameter, click.Option) and parameter.is_flag:
-            off = parameter.secondary_opts
-            typed += [long] if value else off[:1]
-        else:
-            every = value if parameter.multiple else (value,)
-            typed += [part for one in every for part in (long, str(one))]
-    return typed
+    return retype(lambda _, source: source is ParameterSource.DEFAULT_MAP)

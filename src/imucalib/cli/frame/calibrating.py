@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
@@ -14,7 +13,7 @@ import click
 
 from imucalib.cli.frame import options as opt
 from imucalib.cli.frame.bench_file import from_file
-from imucalib.cli.frame.output import Say, emit_json, note, say, show, working
+from imucalib.cli.frame.output import emit_json, note, say, show, working
 from imucalib.data import Data
 from imucalib.errors import LimitBroken, UnnamedColumns
 from imucalib.question import paste
@@ -25,7 +24,9 @@ if TYPE_CHECKING:
 
 #: Where the root command leaves the arguments that it was called with.
 ARGUMENTS = "imucal.arguments"
-#: Where `finish` leaves the report of what was calibrated, and the calibration.
+#: What a clock says while it goes on.
+_WORK = "calibrating"
+#: Where `_finish` leaves the report of what was calibrated, and the calibration.
 _CONTENT, _CALIBRATION = "imucal.content", "imucal.calibration"
 
 
@@ -89,10 +90,12 @@ _OPTIONS = opt.combine(
 )
 
 
-def calibrating(command: Callable[..., int]) -> Callable[..., int]:
-    """Add the options of a calibrating command and mark it as one.
+def calibrating(command: Callable[..., Sequence[Report]]) -> Callable[..., int]:
+    """Make a command of what returns reports, with the options of those that calibrate.
 
-    `shared_fields` reads their values, `finish` does what they ask once the run is there.
+    command : takes `say` beside its options, which says a line about the work; `shared_fields`
+        reads what the shared options say of the request. Several reports go to folders of their
+        own, by their names; one without a name among them, the last, is what all say as one
     """
 
     @functools.wraps(command)
@@ -101,10 +104,14 @@ def calibrating(command: Callable[..., int]) -> Callable[..., int]:
             raise click.UsageError("--export needs a folder: -o")
         if options["output"] is not None and not options["force"]:
             _demand_folders(options["output"], options)
+
+        def work() -> int:
+            with working(_WORK, quiet=options["quiet"], verbose=options["verbose"]) as say:
+                reports = command(*args, say=say, **options)
+            return _finish(reports, options)
+
         try:
-            if options["entry"] is None:
-                return command(*args, **options)
-            return _add_entry(functools.partial(command, *args, **options), options)
+            return work() if options["entry"] is None else _add_entry(work, options)
         except UnnamedColumns as error:  # of a table that another command may take
             file = paste(_inputs(options)[0])
             error.remedy += f"; imucal {file} says what else it may be"
@@ -115,7 +122,7 @@ def calibrating(command: Callable[..., int]) -> Callable[..., int]:
     return found
 
 
-def calibrates(command: click.Command) -> bool:
+def is_calibrator(command: click.Command) -> bool:
     """Whether a command is a calibrating one."""
     return bool(getattr(command.callback, "calibrates", False))
 
@@ -176,11 +183,6 @@ def _demand_folders(folder: Path, options: Mapping[str, Any]) -> None:
         demand_folder(each, [*read, *_paths(options.values())])
 
 
-def calibrating_of(options: Mapping[str, Any]) -> AbstractContextManager[Say]:
-    """The work of a calibration: yields what says a line about it."""
-    return working("calibrating", quiet=options["quiet"], verbose=options["verbose"])
-
-
 def shared_fields(options: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of a calibrator's request that the shared options state; without `curves` where the
     calibrator's own default holds. Raises click's usage errors."""
@@ -211,12 +213,11 @@ def shared_fields(options: Mapping[str, Any]) -> dict[str, Any]:
 def command_line() -> str:
     """The line that was typed, with what imucal.toml added, ready to be pasted; without the place
     of an entry, which is the study's and not the calibration's."""
-    ctx = click.get_current_context()
-    words = list(ctx.meta.get(ARGUMENTS, ()))
+    words = list(click.get_current_context().meta.get(ARGUMENTS, ()))
     if "--entry" in words:
         at = words.index("--entry")
         del words[at : at + 2]
-    return paste("imucal", *words, *from_file(ctx))
+    return paste("imucal", *words, *from_file())
 
 
 class Logs(Data, name="logs/1"):
@@ -226,16 +227,11 @@ class Logs(Data, name="logs/1"):
     together: Annotated[Mapping[str, Any] | None, "A report."] = None
 
 
-def finish(
-    reports: Sequence[Report], options: Mapping[str, Any], together: Report | None = None
-) -> int:
-    """Write the files, print the result, and return the exit code.
-
-    Several reports go to folders of their own, by their names. together : what several
-    logs say as one, written above their folders, printed last, and as JSON under "together"
-    """
-    count_, output = len(reports), options["output"]
-    every = [*reports, together] if together else [*reports]
+def _finish(reports: Sequence[Report], options: Mapping[str, Any]) -> int:
+    """Write the files, print the result, and return the exit code; what several logs say as one
+    above their folders, last, and as JSON under "together"."""
+    every, output, several = [*reports], options["output"], len(reports) > 1
+    together = several and not every[-1].name
     if options["fail_on"] is not None:
         every = [_gate(report, options["fail_on"]) for report in every]
     codes = [report.run.outcome.exit_code for report in every]
@@ -243,15 +239,15 @@ def finish(
         every = [_propose_output(report) for report in every]
     else:
         for k, report in enumerate(every):
-            folder = output / report.name if k < count_ and count_ > 1 else output
+            folder = output / report.name if several else output
             every[k] = _place(report, folder)
             codes.append(_write(every[k], folder, options))
     meta, run = click.get_current_context().meta, every[-1].run
     meta[_CONTENT], meta[_CALIBRATION] = every[-1].content, run.calibration
     if options["as_json"]:
-        logs = tuple(report.content for report in every[:count_])
-        whole = every[-1].content if together else None
-        emit_json(Logs(logs, whole) if len(every) > 1 else logs[0])
+        content = [report.content for report in every]
+        whole = content.pop() if together else None
+        emit_json(Logs(tuple(content), whole) if several else content[0])
     for report in every:
         outcome, said = report.run.outcome, tuple(filter(None, (report.run.outcome.gate_reason,)))
         if not (options["quiet"] or options["as_json"]):
@@ -287,7 +283,7 @@ def _place(report: Report, folder: Path) -> Report:
         "reading": opt.repeat_typed(without=("sensor",)),
         "suffix": next((s for s in (".csv", ".h5") if s in given.suffixes), ".mcap"),
     }
-    return replace(report, document=report.document.placed(places))
+    return replace(report, document=report.document.place_commands(places))
 
 
 def _propose_output(report: Report) -> Report:
@@ -295,7 +291,7 @@ def _propose_output(report: Report) -> Report:
     names = chain(["out"], (f"out_{k}" for k in count(2)))
     folder = next(name for name in names if not Path(name).exists())
     command = report.run.outcome.provenance.command
-    return replace(report, document=report.document.unwritten(f"{command} -o {folder}"))
+    return replace(report, document=report.document.propose_writing(f"{command} -o {folder}"))
 
 
 def _write(report: Report, folder: Path, options: Mapping[str, Any]) -> int:

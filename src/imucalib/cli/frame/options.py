@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from imucalib.cli.frame.output import note
 from imucalib.question import paste
@@ -29,6 +31,12 @@ Made = TypeVar("Made")
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
+#: Between pairs: a name follows, so that commas of a heading are its own.
+_PAIRS = re.compile(r",(?=[^,=]*=|\s*$)")
+#: Lines of 80 columns.
+PAGE = 60
+#: How an option begins whose breach is exit 1, and its help.
+_LIMIT, LIMIT_HELP = "--max-", "Limit: "
 
 
 def option(names: str, text: str, **words: Any) -> Parameter:
@@ -154,6 +162,9 @@ json = flag("--json as_json", "Print the result as JSON.")
 quiet = flag("-q --quiet", "Print nothing but errors.")
 verbose = flag("-v --verbose", "Say when each thing happened, and what it cost.")
 full = flag("--full", "Print every section, not one page.")
+#: Of commands that write, and print what they found in a line or as a page.
+line_options = combine([force, json, quiet])
+page_options = combine([force, full, json, quiet])
 seed = option("--seed", "Seed of all randomness: same seed, same result.", default=0)
 
 
@@ -168,53 +179,62 @@ def still_of(options: Mapping[str, Any]) -> StillSettings:
     return StillSettings(shortest=shortest)
 
 
-def repeat_typed(*files: Path, without: tuple[str, ...] = ()) -> str:
-    """Files and what was typed of their reading, but for some options, for the next command."""
-    ctx = click.get_current_context()
-    words = [str(file) for file in files]
+def retype(chosen: Callable[[str, ParameterSource | None], bool]) -> list[str]:
+    """Some options of the command that runs, as they would be typed.
+
+    chosen : whether one is meant, by its parameter's name and where its value comes from
+    """
+    ctx, words = click.get_current_context(), list[str]()
     for parameter in ctx.command.params:
         name = parameter.name or ""
-        source = ctx.get_parameter_source(name)
-        typed = source is click.core.ParameterSource.COMMANDLINE
-        if name not in READING or name in without or not typed:
+        if not chosen(name, ctx.get_parameter_source(name)):
             continue
+        long = next(o for o in parameter.opts if o.startswith("--"))
         value = ctx.params[name]
+        if isinstance(parameter, click.Option) and parameter.is_flag:
+            words += [long] if value else parameter.secondary_opts[:1]
+            continue
         for one in value if isinstance(value, tuple) else (value,):
-            shown = f"{one:.15g}" if isinstance(one, float) else str(one)
-            words += [parameter.opts[0]] if value is True else [parameter.opts[0], shown]
-    return paste(*words)
+            words += [long, f"{one:.15g}" if isinstance(one, float) else str(one)]
+    return words
 
 
-def inputs_of(options: Mapping[str, Any], *files: Path) -> list[Path]:
-    """Every file that a command reads: no output may be one of them."""
-    named = (options.get("mapping"), options.get("effects_file"))
-    return [*files, *(path for path in named if path is not None)]
+def repeat_typed(*files: Path, without: tuple[str, ...] = ()) -> str:
+    """Files and what was typed of their reading, but for some options, for the next command."""
+    typed, of_reading = ParameterSource.COMMANDLINE, set(READING) - set(without)
+    words = retype(lambda name, source: name in of_reading and source is typed)
+    return paste(*files, *words)
 
 
-def calibration_of(
-    path: Path, effects_file: Path | None, *, same_device: bool = False
-) -> Calibration:
-    """Read and checked, after the user's own effects. Raises UnreadableInput.
+def demand_outputs(options: Mapping[str, Any], outputs: Iterable[Path | None], *read: Path) -> None:
+    """Refuse, before the work, an output, that of --html too, that is a file which the command
+    reads, or that is there and is not to be replaced. Raises UsageError."""
+    from imucalib.atomic_file import demand_output
 
-    same_device : take it for the calibration of whichever sensor it is used for
-    """
+    named = (options.get(name) for name in ("mapping", "effects_file", "noise"))
+    inputs = [*read, *(one for one in named if isinstance(one, Path))]
+    for output in filter(None, (*outputs, options.get("html"))):
+        demand_output(output, inputs, force=options["force"])
+
+
+def calibration_of(path: Path, options: Mapping[str, Any]) -> Calibration:
+    """Read and checked, after the user's own effects; with --same-device that of whichever sensor
+    it is used for. Raises UnreadableInput."""
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
 
-    if effects_file is not None:
-        load_file(effects_file)
+    if options.get("effects_file") is not None:
+        load_file(options["effects_file"])
     found = read(path)
     check(found, str(path))
-    return replace(found, sensor=None) if same_device else found
+    return replace(found, sensor=None) if options.get("same_device") else found
 
 
-def population_of(
-    options: Mapping[str, Any], usual: Mapping[str, Any], reference: str, device: str, remedy: str
-) -> Population | None:
+def population_of(options: Mapping[str, Any], reference: str, **usual: Any) -> Population | None:
     """What --fleet says of the device. Raises UsageError.
 
-    usual : values of options that know no prior, by name; reference : by which the device is
-    calibrated, and `device` says so; remedy : for a fleet of another, which {other} names
+    reference : by which the device is calibrated
+    usual : values of options that know no prior, by name
     """
     from imucalib.calibrators.population import read
     from imucalib.errors import UsageError
@@ -228,9 +248,9 @@ def population_of(
     kind = read(options["fleet"])
     if kind.reference != reference:
         raise UsageError(
-            f"the fleet was calibrated with --reference {kind.reference}, {device}",
+            f"the fleet was calibrated by {kind.reference}, this device is by {reference}",
             where=str(options["fleet"]),
-            remedy=remedy.format(other=kind.reference),
+            remedy=f"give a fleet that was calibrated by {reference} (lab --reference {reference})",
         )
     return kind
 
@@ -329,7 +349,21 @@ def _exports() -> Iterable[str]:
 EXPORT_FORM = FormName(_exports)
 
 
-def numbers(text: str, what: str) -> tuple[int, ...]:
+def numbers_of(
+    text: str, what: str, form: str, counts: Collection[int], least: float = -math.inf
+) -> tuple[float, ...]:
+    """ "1.5,0,-2" as finite numbers, one of some counts of them, none below the least; raises
+    click's usage error, in which `form` says how they are written."""
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) not in counts or not all(least <= v < math.inf for v in found):
+        raise click.BadParameter(f"'{text}' is not {form}", param_hint=what)
+    return found
+
+
+def row_numbers(text: str, what: str) -> tuple[int, ...]:
     """ "1-20,25" as row numbers; raises click's usage error."""
     rows: list[int] = []
     for part in filter(None, (p.strip() for p in text.split(","))):
@@ -343,10 +377,6 @@ def numbers(text: str, what: str) -> tuple[int, ...]:
     return tuple(rows)
 
 
-#: Between pairs: a name follows, so that commas of a heading are its own.
-_PAIRS = re.compile(r",(?=[^,=]*=|\s*$)")
-
-
 def pairs(texts: tuple[str, ...], what: str) -> dict[str, str]:
     """ "a=b,c=d" options as a dictionary; raises click's usage error."""
     found: dict[str, str] = {}
@@ -358,8 +388,6 @@ def pairs(texts: tuple[str, ...], what: str) -> dict[str, str]:
     return found
 
 
-#: Lines of 80 columns.
-PAGE = 60
 #: Heading -> options, by parameter name, that a help longer than a page leaves to --help-all.
 _RARE = {
     "Reading a recording": f"{' '.join(name for name in READING if name != 'unit')} shortest_rest",
@@ -395,10 +423,6 @@ _HELP_ALL = click.Option(
     callback=_show_all,
     help="Show every option and exit.",
 )
-
-
-#: How an option begins whose breach is exit 1, and its help.
-_LIMIT, LIMIT_HELP = "--max-", "Limit: "
 
 
 def no_limit(command: click.Command, name: str) -> str:

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +20,11 @@ if TYPE_CHECKING:
 
 #: What JSON may hold as it is but a terminal obeys: DEL, C1, line separators, direction marks.
 _CONTROLS = re.compile("[\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+Say = Callable[[str], None]
+#: Seconds until the first sign of life where there is no terminal, and between the next ones.
+_FIRST, _NEXT = 1.0, 10.0
+#: `M_TRIM_THRESHOLD` and `M_MMAP_THRESHOLD` of <malloc.h>.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 
 
 def width() -> int:
@@ -50,13 +54,10 @@ def show(document: Document, *, full: bool = False) -> None:
 
 
 def present(
-    document: Document,
-    content: Data | Mapping[str, Any],
-    options: Mapping[str, Any],
-    page: Path | None = None,
+    document: Document, content: Data | Mapping[str, Any], options: Mapping[str, Any]
 ) -> None:
-    """The result as --json, --quiet and --full ask for it; `page` is written before."""
-    if page is not None:
+    """The result as --html, --json, --quiet and --full ask for it."""
+    if (page := options.get("html")) is not None:
         from imucalib.calibration.file import write_whole
         from imucalib.report.render.html import render_html
 
@@ -66,6 +67,14 @@ def present(
         emit_json(content)
     elif not options["quiet"]:
         show(document, full=options["full"])
+
+
+def tell(content: Data, options: Mapping[str, Any], words: str) -> None:
+    """A result that has no page: as JSON where that is asked for, else in words."""
+    if options["as_json"]:
+        emit_json(content)
+    elif not options["quiet"]:
+        say(words)
 
 
 def note(text: str, quiet: bool) -> None:
@@ -107,13 +116,6 @@ def progress(total: int, what: str, quiet: bool) -> Iterator[Callable[[bool], No
                 click.echo(f"{done} of {total} {what}{left}", err=True)
 
         yield advance
-
-
-Say = Callable[[str], None]
-#: Seconds until the first sign of life where there is no terminal, and between the next ones.
-_FIRST, _NEXT = 1.0, 10.0
-#: `M_TRIM_THRESHOLD` and `M_MMAP_THRESHOLD` of <malloc.h>.
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 
 
 @contextmanager

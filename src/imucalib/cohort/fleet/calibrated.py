@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from imucalib.calibration import sums as block
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.file import as_dict, check, read
+from imucalib.calibration.file import check, read
 from imucalib.calibration.provenance import Provenance
-from imucalib.calibration.triads import triad_from
+from imucalib.calibration.triads import Triad
 from imucalib.cohort.entries import calibration_beside
 from imucalib.core.fit import StoredParameter
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.posterior.closed_loop.sums import Sums
+from imucalib.recording.identity import NAMELESS
 from imucalib.units import MG
 
 #: What is no table: a folder of a run or of a batch, a calibration, a report, an entry.
@@ -30,22 +30,24 @@ _SUFFIXES = (".yaml", ".yml", ".json")
 class Calibrated:
     """One recording's calibration.
 
-    recording : its path as far as it is known; name : short, of its own in a fleet
-    device : serial number where the recording names one, or empty; status : of the run
-    values : all parameters, fixture included, without stages, which a report does not state; of an
-    array also each IMU's gain and bias
-    sums : what it says of every effect, or None; calibration : its file, or None
+    name : short, of its own in a fleet
+    recording : its path as far as it is known
+    device : serial number where the recording names one, or empty
+    values : all parameters, fixture included; of an array also each IMU's gain and bias
+    sums : what it says of every effect, or None
     """
 
     name: str
     recording: str
     device: str
-    calibrator: str
-    status: str
     values: tuple[StoredParameter, ...]
     sums: Sums | None
     provenance: Provenance
-    calibration: Calibration | None
+    calibration: Calibration
+
+    @property
+    def calibrator(self) -> str:
+        return self.calibration.calibrator
 
 
 def is_calibrated(path: Path) -> bool:
@@ -105,50 +107,36 @@ def _reports(path: Path) -> Iterator[Path]:
 
 
 def _read(file: Path) -> Calibrated:
-    """Raises UnreadableInput for what is no report, or an entry of what was not calibrated."""
+    """Raises UnreadableInput for what is no report with its calibration beside it, or an entry of
+    what was not calibrated."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         entry = "exit_code" in content and "calibrator" not in content
         if entry and content["row"] is None:
             raise UnreadableInput(content["error"] or "it was not calibrated", where=str(file))
         stored = calibration_beside(file) if entry else file.with_name("calibration.yaml")
-        own = read(stored) if entry or (file.name == "report.json" and stored.is_file()) else None
-        if own is not None:
-            check(own, str(stored))
-        if entry and own is not None:
-            return _of({**as_dict(own), block.KEY: content["sums"]}, content["recording"], own)
-        return _of(content, content["provenance"]["input"], own)
+        own, sums = read(stored), content["sums"] if entry else content.get(block.KEY)
+        check(own, str(stored))
+        made = own.facts["provenance"]
+        kept = {one.name for one in fields(Provenance)} - {"path", "parts"}
+        return Calibrated(
+            name=Path(made["input"]).name.partition(".")[0],
+            recording=content["recording"] if entry else made["input"],
+            device=(own.sensor or NAMELESS).serial,
+            values=(*own.parameters, *_of_imus(own.triads)),
+            sums=None if sums is None else block.sums_of(sums),
+            provenance=Provenance(path=made["input"], **{name: made[name] for name in kept}),
+            calibration=own,
+        )
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UnreadableInput(
             f"no report of imucal, or a damaged one: {error!r}", where=str(file)
         ) from None
 
 
-def _of(report: Mapping[str, Any], recording: str, own: Calibration | None) -> Calibrated:
-    made = report["provenance"]
-    kept = {one.name for one in fields(Provenance)} - {"path", "parts"}
-    given = {name: made[name] for name in kept}
-    values = [
-        StoredParameter(p["name"], p["effect"], "", float(p["value"]), float(p["sd"]), p["unit"])
-        for p in report["parameters"]
-    ]
-    sums = report.get(block.KEY)
-    return Calibrated(
-        name=Path(made["input"]).name.partition(".")[0],
-        recording=recording,
-        device=report.get("sensor", {}).get("serial", ""),
-        calibrator=str(report["calibrator"]),
-        status=str(report["status"]),
-        values=(*values, *_of_imus(report.get("triads", ()))),
-        sums=None if sums is None else block.sums_of(sums),
-        provenance=Provenance(path=made["input"], **given),
-        calibration=own,
-    )
-
-
-def _of_imus(blocks: Sequence[Mapping[str, Any]]) -> Iterator[StoredParameter]:
+def _of_imus(triads: Sequence[Triad]) -> Iterator[StoredParameter]:
     """Gain and bias of every IMU of an array."""
-    for triad in map(triad_from, blocks):
+    for triad in triads:
         sd = np.sqrt(np.maximum(np.diag(triad.covariance), 0.0)).tolist()
         for k, (i, j) in enumerate(np.ndindex(3, 3)):
             name, gain = f"{triad.name}.gain_{'xyz'[i]}{'xyz'[j]}", float(triad.gain[i, j])

@@ -12,7 +12,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.comparison.agreement import ExcessScatter, estimate_excess
 from imucalib.calibration.provenance import Provenance
 from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
-from imucalib.cohort.fleet.search import Priors, Search
+from imucalib.cohort.fleet.search import FleetEffect, Priors, Search
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit, StoredParameter
 from imucalib.effects import named
@@ -76,7 +76,7 @@ def estimate_spreads(
     """Of parameters by name, whose values and sds are (devices, p); those of a kind, "bias_x" and
     "bias_y", scatter alike."""
     found = dict[int, Spread]()
-    for kind in of_a_kind(names):
+    for kind in group_alike(names):
         said = predict_next(values[:, kind], sds[:, kind])
         ends = np.array([said.scatter(share) for share in (0.5, 0.025, 0.975)])
         for k, j in enumerate(kind):
@@ -95,7 +95,7 @@ def estimate_spreads(
     return tuple(found[j] for j in range(len(names)))
 
 
-def by_device(
+def average_devices(
     values: Array, sds: Array, device: Index
 ) -> tuple[Array, Array, ExcessScatter | None]:
     """A parameter's value and sd of each device: the mean of its recordings, whose scatter beyond
@@ -115,13 +115,13 @@ def shared_parameters(
     tables: Sequence[Sequence[StoredParameter]], pooled: Sequence[str], device: Index
 ) -> tuple[Spread, ...]:
     """Of every parameter that all recordings have, without effects whose sizes are pooled already:
-    there each device's value leans on the others'. device : (recordings,) as of `by_device`"""
+    there each device's value leans on the others'. device : (recordings,), see `average_devices`"""
     by_name = [{p.name: p for p in own if p.effect not in pooled} for own in tables]
     shared = [p for name, p in by_name[0].items() if all(name in table for table in by_name)]
     if not shared:
         return ()
     every = [
-        by_device(
+        average_devices(
             np.array([table[p.name].value for table in by_name]),
             np.array([table[p.name].sd for table in by_name]),
             device,
@@ -139,7 +139,7 @@ def outliers(devices: Sequence[str], spreads: Sequence[Spread]) -> tuple[Outlier
     if count < _FEWEST:
         return ()
     found = list[Outlier]()
-    for kind in of_a_kind([one.name for one in spreads]):
+    for kind in group_alike([one.name for one in spreads]):
         values, sds = (
             np.array([getattr(spreads[j], n) for j in kind]).T for n in ("values", "sds")
         )
@@ -165,7 +165,7 @@ def outliers(devices: Sequence[str], spreads: Sequence[Spread]) -> tuple[Outlier
     return tuple(sorted(found, key=lambda o: o.p))
 
 
-def of_a_kind(names: Sequence[str]) -> list[list[int]]:
+def group_alike(names: Sequence[str]) -> list[list[int]]:
     """Numbers of the parameters that are alike: "bias_x" with "bias_y" and "bias_z"."""
     kinds = dict[str, list[int]]()
     for k, name in enumerate(names):
@@ -235,12 +235,12 @@ def _noise(name: str, sizes: Array, sds: Array) -> PriorNoise:
 
 @dataclass(frozen=True)
 class DeviceRecording:
-    """One recording of a device. calibration : with the fleet's effects, or None where its file
-    was not at hand; kept : why the fleet's effects are not in it, or empty"""
+    """One recording of a device. calibration : with the fleet's effects; kept : why these are not
+    in it, or empty"""
 
     name: str
     provenance: Provenance
-    calibration: Calibration | None
+    calibration: Calibration
     kept: str = ""
 
 
@@ -255,23 +255,26 @@ class FleetMember:
     final: float
     found_by_others: tuple[str, ...] = ()
 
-
-@dataclass(frozen=True)
-class Settings:
-    """calibrator : of every device; command : that was typed; stated : as provenance has them"""
-
-    calibrator: str
-    command: str
-    stated: Mapping[str, object]
+    def folder_of(self, recording: DeviceRecording) -> str:
+        """Where its calibration is written, below the fleet's folder."""
+        return f"{self.name}/{recording.name}" if len(self.recordings) > 1 else self.name
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """members : in the order given; failed : file -> why it is no member; search : None where no
-    recording holds what a search needs
+    """Devices of one kind.
+
+    members : in the order given
+    failed : file -> why it is no member
+    search : what was found, None where no recording holds what a search needs
+    spreads : of every parameter that all have
+    outliers : who is not of the kind
     difference : held-out error over all members, mg, None where nothing was found
+    calibrator : of every device; command : that was typed
+    settings : as provenance has them
     following : what it says of the next device, None for fewer than four
-    notes : what else a reader must know"""
+    notes : what else a reader must know
+    """
 
     members: tuple[FleetMember, ...]
     failed: tuple[tuple[str, str], ...]
@@ -279,9 +282,16 @@ class Fleet:
     spreads: tuple[Spread, ...]
     outliers: tuple[Outlier, ...]
     difference: Difference | None
-    settings: Settings
+    calibrator: str
+    command: str
+    settings: Mapping[str, object]
     following: Population | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def found(self) -> tuple[FleetEffect, ...]:
+        """Effects that all devices share."""
+        return self.search.found if self.search else ()
 
     @property
     def verdict(self) -> str:

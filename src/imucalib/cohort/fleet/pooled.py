@@ -193,7 +193,7 @@ def by_others(gram: Array, along: Array) -> list[tuple[Array, Array]]:
     return [every[k] for k in group]
 
 
-def predictive(gram: Array, along: Array) -> Array:
+def gain_from_others(gram: Array, along: Array) -> Array:
     """(devices,) nats that each device's data gain by what the others say of the effect."""
     every = zip(gram, along, by_others(gram, along), strict=True)
     return np.array([evidence_of_sizes(own, sums, *said) for own, sums, said in every])

@@ -17,14 +17,13 @@ from imucalib.cohort.fleet.outcome import (
     DeviceRecording,
     Fleet,
     FleetMember,
-    Settings,
     Spread,
     outliers,
     population_of,
     shared_parameters,
 )
 from imucalib.cohort.fleet.pooled import PooledDevice, evidence_of_sizes
-from imucalib.cohort.fleet.search import Priors, Said, search_fleet
+from imucalib.cohort.fleet.search import Priors, Search, search_fleet
 from imucalib.core.effect import Context
 from imucalib.core.fit import StoredParameter
 from imucalib.effects import named
@@ -37,6 +36,10 @@ from imucalib.units import MG
 
 #: sd of an effect that a recording has by itself, in typical sizes: its own data decide.
 _OWN = 10.0
+#: Headings of the two columns, the first that is there: `imucal collect` writes the last ones.
+_RECORDING, _DEVICE = ("recording", "path"), ("device", "serial")
+#: Status of a calibration that rests on a prior as much as on its postures.
+_WEAK = "weak"
 
 
 def device_of(name: str, recordings: Sequence[Sums], wanted: Sequence[str]) -> PooledDevice:
@@ -117,10 +120,7 @@ def _recording(
     scale = np.concatenate([np.ones(base.theta.size), [p.typical for _, p in new]])
     theta, whole = theta * scale, whole * np.outer(scale, scale)
     known = {v.name: v for v in one.values}
-    stages = {p.effect: p.stage for p in one.calibration.parameters} if one.calibration else {}
-    kinds = [
-        (known[n].effect, stages.get(known[n].effect, ""), known[n].unit) for n in base.parameters
-    ]
+    kinds = [(known[n].effect, known[n].stage, known[n].unit) for n in base.parameters]
     kinds += [(effect.name, effect.stage, p.unit) for effect, p in new]
     parameters = [*base.parameters, *(p.name for _, p in new)]
     stored = tuple(
@@ -129,8 +129,6 @@ def _recording(
             parameters, kinds, theta, np.sqrt(np.diag(whole)), strict=True
         )
     )
-    if one.calibration is None:
-        return DeviceRecording(one.name, one.provenance, None), stored
     # Its errors stay those of the recording alone, and it says so.
     facts = {"effects": able, "errors": "of the recording calibrated alone"}
     made = replace(
@@ -141,10 +139,6 @@ def _recording(
         sha256="",
     )
     return DeviceRecording(one.name, one.provenance, made), stored
-
-
-#: Headings of the two columns, the first that is there: `imucal collect` writes the last ones.
-_RECORDING, _DEVICE = ("recording", "path"), ("device", "serial")
 
 
 def read_devices(path: Path) -> dict[str, str]:
@@ -170,7 +164,7 @@ def read_devices(path: Path) -> dict[str, str]:
     return {**short, **named}
 
 
-def with_devices(found: Sequence[Calibrated], named: Mapping[str, str]) -> tuple[Calibrated, ...]:
+def assign_devices(found: Sequence[Calibrated], named: Mapping[str, str]) -> tuple[Calibrated, ...]:
     """Every recording with its device: as named, as its file says, or a device by itself.
 
     Raises UnreadableInput where some are named and others are not.
@@ -205,10 +199,6 @@ class Wanted:
         }
 
 
-#: Status of a calibration that rests on a prior as much as on its postures.
-_WEAK = "weak"
-
-
 def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], None]) -> Fleet:
     """Pool calibrations of one calibrator, whose recordings are grouped by device.
 
@@ -216,8 +206,8 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
     for calibrators that differ.
     """
     found, failed = load_calibrations(paths)
-    found = with_devices(found, read_devices(wanted.devices) if wanted.devices else {})
-    usable = tuple(one for one in found if one.status != _WEAK)
+    found = assign_devices(found, read_devices(wanted.devices) if wanted.devices else {})
+    usable = tuple(one for one in found if one.calibration.status != _WEAK)
     _demand_one_kind(usable, failed, weak=len(found) - len(usable))
     of = {
         name: [one for one in usable if one.device == name]
@@ -238,11 +228,13 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
     return Fleet(
         members=members,
         failed=failed,
-        search=said.search if said else None,
+        search=said,
         spreads=spreads,
         outliers=outliers(list(of), spreads),
-        difference=_gain(own, said) if said and said.search.found else None,
-        settings=Settings(usable[0].calibrator, wanted.command, wanted.stated()),
+        difference=_gain(own, said) if said and said.found else None,
+        calibrator=usable[0].calibrator,
+        command=wanted.command,
+        settings=wanted.stated(),
         following=_following(usable, spreads, said),
         notes=_notes(found, usable, own),
     )
@@ -275,7 +267,7 @@ def _demand_one_kind(
 
 
 def _members(
-    of: Mapping[str, Sequence[Calibrated]], own: Sequence[PooledDevice], said: Said | None
+    of: Mapping[str, Sequence[Calibrated]], own: Sequence[PooledDevice], said: Search | None
 ) -> tuple[tuple[FleetMember, ...], dict[str, tuple[StoredParameter, ...]]]:
     """Devices, and of every recording the parameters with what its device has."""
     device = {one.name: one for one in own}
@@ -294,7 +286,7 @@ def _members(
     return tuple(members), values
 
 
-def _gain(own: Sequence[PooledDevice], said: Said) -> Difference:
+def _gain(own: Sequence[PooledDevice], said: Search) -> Difference:
     """Of devices of the kind: each is one number, predicted by the others. The density decides: an
     effect that is small against the noise of one posture is sure by hundreds of them."""
     pairs = [predict_noise(device, said.unseen.get(device.name, {})) for device in own]
@@ -305,7 +297,7 @@ def _gain(own: Sequence[PooledDevice], said: Said) -> Difference:
 
 
 def _following(
-    usable: Sequence[Calibrated], spreads: Sequence[Spread], said: Said | None
+    usable: Sequence[Calibrated], spreads: Sequence[Spread], said: Search | None
 ) -> Population | None:
     """Of worn sensors, whose next recording takes it; None for others."""
     sums = [one.sums for one in usable if one.sums is not None]
@@ -327,7 +319,7 @@ def _notes(
     found: Sequence[Calibrated], usable: Sequence[Calibrated], own: Sequence[PooledDevice]
 ) -> tuple[str, ...]:
     notes = []
-    if weak := [one.name for one in found if one.status == _WEAK]:
+    if weak := [one.name for one in found if one.calibration.status == _WEAK]:
         notes.append(
             f"Of weak coverage, so that they say nothing of their kind: {', '.join(weak)}. "
             "Calibrate them again beside the others: `imucal actigraph RECORDING --fleet "

@@ -16,14 +16,13 @@ from imucalib.cohort.fleet.outcome import (
     DeviceRecording,
     Fleet,
     FleetMember,
-    Settings,
     noise_of,
     outliers,
     population_of,
     shared_parameters,
 )
 from imucalib.cohort.fleet.pooled import device_of
-from imucalib.cohort.fleet.search import Priors, Said, search_fleet
+from imucalib.cohort.fleet.search import Priors, Search, search_fleet
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -31,12 +30,7 @@ from imucalib.core.prior import Prior
 from imucalib.errors import ImucalError, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.posterior.candidates import effects_to_search
-from imucalib.posterior.held_out import (
-    Difference,
-    by_folds,
-    difference,
-    folds_of,
-)
+from imucalib.posterior.held_out import Difference, by_folds, difference, folds_of
 from imucalib.units import MG
 
 #: Devices up to which each one's folds are predicted, with and without what was found.
@@ -65,17 +59,19 @@ def run_fleet(tables: Sequence[LabFiles], request: LabRequest, say: Callable[[st
     own = [device_of(name, run.result.final, effects) for name, run in runs]
     said = search_fleet(own, say, without=len(runs) <= _HELD_OUT)
     members, gain = _members(runs, said, effects)
-    made = [r.calibration.parameters for m in members for r in m.recordings if r.calibration]
+    made = [r.calibration.parameters for m in members for r in m.recordings]
     spreads = shared_parameters(made, tuple(said.following), np.arange(len(made)))
     by_name = {one.name: one for one in spreads}
     return Fleet(
         members=members,
         failed=failed,
-        search=said.search,
+        search=said,
         spreads=spreads,
         outliers=outliers([member.name for member in members], spreads),
-        difference=gain if said.search.found else None,
-        settings=Settings("lab", request.command, request.describe_settings()),
+        difference=gain if said.found else None,
+        calibrator="lab",
+        command=request.command,
+        settings=request.describe_settings(),
         following=population_of(
             [by_name[p.name] for p in fits[0].parameters],
             said.following,
@@ -110,7 +106,7 @@ def _calibrate_each(
 
 
 def _members(
-    runs: Sequence[tuple[str, LabRun]], said: Said, effects: Mapping[str, Effect]
+    runs: Sequence[tuple[str, LabRun]], said: Search, effects: Mapping[str, Effect]
 ) -> tuple[tuple[FleetMember, ...], Difference | None]:
     """Held out is what the others alone have found and sized."""
     members, pairs = list[FleetMember](), list[tuple[Array, Array]]()

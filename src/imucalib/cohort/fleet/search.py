@@ -9,7 +9,7 @@ keeps its products with all candidates, so it is made anew for each group that i
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from imucalib.cohort.fleet.pooled import (
     PooledEffect,
     Sizes,
     by_others,
+    gain_from_others,
     pool_effects,
-    predictive,
     products,
     shrink_noise,
     sizes,
@@ -49,33 +49,33 @@ class FleetEffect:
         return self.pooled.effect
 
 
-@dataclass(frozen=True)
-class Search:
-    """found : in order; first : every effect before any was accepted; refused : what stood out, and
-    why it was not accepted"""
-
-    found: tuple[FleetEffect, ...]
-    first: tuple[PooledEffect, ...]
-    refused: tuple[tuple[str, str], ...]
-
-
 #: Effect -> its sizes, in typical sizes.
 Priors = Mapping[str, Prior]
 
 
 @dataclass(frozen=True)
-class Said:
-    """What a fleet says. search : what it found; by_others : of each device what the others say of
-    it; unseen : the same where the others have found it too, empty where that was not wanted;
-    following : of the next device"""
+class Search:
+    """What the devices of a fleet share.
 
-    search: Search
-    by_others: Mapping[str, Priors]
-    unseen: Mapping[str, Priors]
-    following: Priors
+    found : in order
+    first : every effect before any was accepted
+    refused : what stood out, and why it was not accepted
+    by_others : of each device what the others say of the effects
+    unseen : the same where the others have found them too, empty where that was not wanted
+    following : what is said of the next device
+    """
+
+    found: tuple[FleetEffect, ...]
+    first: tuple[PooledEffect, ...]
+    refused: tuple[tuple[str, str], ...]
+    by_others: Mapping[str, Priors] = field(default_factory=dict)
+    unseen: Mapping[str, Priors] = field(default_factory=dict)
+    following: Priors = field(default_factory=dict)
 
 
-def search_fleet(own: Sequence[PooledDevice], say: Callable[[str], None], *, without: bool) -> Said:
+def search_fleet(
+    own: Sequence[PooledDevice], say: Callable[[str], None], *, without: bool
+) -> Search:
     """Search a fleet. own : with their own noise; without : whether also without each device"""
     devices = shrink_noise(own)
     found = search(devices)
@@ -86,7 +86,8 @@ def search_fleet(own: Sequence[PooledDevice], say: Callable[[str], None], *, wit
         for name, said in zip(able, by_others(gram, along), strict=True):
             by_device[name][one.effect] = joint_prior(*said)
     unseen = _drop_each(own) if found.found and without else {}
-    return Said(found, by_device, unseen, _of_another(devices, found))
+    following = _predict_another(devices, found)
+    return replace(found, by_others=by_device, unseen=unseen, following=following)
 
 
 def search(devices: Sequence[PooledDevice]) -> Search:
@@ -102,10 +103,10 @@ def search(devices: Sequence[PooledDevice]) -> Search:
             return Search(tuple(found), first, tuple(refused.items()))
         best = scores[0]
         able, gram, along = products(now, best.effect)
-        nats = predictive(gram, along)
+        nats = gain_from_others(gram, along)
         if nats.sum() <= 0.0:
             refused[best.effect] = f"the others foretell no device's: {nats.sum():+.1f} nats"
-            now = tuple(replace(d, columns=_but(d, best.effect)) for d in now)
+            now = tuple(replace(d, columns=_leave_out(d, best.effect)) for d in now)
             continue
         said = sizes(gram, along)
         rivals = tuple(s.effect for s in scores[1:] if s.evidence > best.evidence - OCCAM)
@@ -123,10 +124,10 @@ def _drop(device: PooledDevice, effect: str, said: Sizes) -> PooledDevice:
     away = device.along[k] - own @ said.common
     along = device.along - across @ (said.common + shrunk @ away)
     gram = device.gram - across @ shrunk @ across.T
-    return replace(device, columns=_but(device, effect), gram=gram, along=along)
+    return replace(device, columns=_leave_out(device, effect), gram=gram, along=along)
 
 
-def _but(device: PooledDevice, effect: str) -> dict[str, Index]:
+def _leave_out(device: PooledDevice, effect: str) -> dict[str, Index]:
     """Where the parameters of all other effects stand."""
     return {name: at for name, at in device.columns.items() if name != effect}
 
@@ -141,13 +142,13 @@ def _drop_each(devices: Sequence[PooledDevice]) -> dict[str, Priors]:
     every: dict[str, Priors] = {}
     for group in range(groups):
         rest = shrink_noise([d for k, d in enumerate(devices) if k % groups != group])
-        said = _of_another(rest, search(rest))
+        said = _predict_another(rest, search(rest))
         for device in devices[group::groups]:
             every[device.name] = {n: one for n, one in said.items() if n in device.columns}
     return every
 
 
-def _of_another(devices: Sequence[PooledDevice], found: Search) -> dict[str, Prior]:
+def _predict_another(devices: Sequence[PooledDevice], found: Search) -> dict[str, Prior]:
     """The sizes in another device of the kind of the effects that were found in these."""
     return {
         one.effect: joint_prior(*sizes(*products(devices, one.effect)[1:]).another)

@@ -19,8 +19,8 @@ _LATE_GYROS, _LATE_FORCES = all_axes(SPIN, -1e-3), all_axes(JERK, -1e-3)
 
 
 class _Aged(Response):
-    def find_missing(self, context: Context) -> str:
-        return "no gyro shows a beat line" if super().find_missing(context) else ""
+    def missing(self, context: Context) -> str:
+        return "no gyro shows a beat line" if super().missing(context) else ""
 
 
 def slow(course: Course, lag: Array) -> Course:

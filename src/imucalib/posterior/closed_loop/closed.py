@@ -151,7 +151,7 @@ def start_loop(
 ) -> FitLoop:
     """The loop before anything is corrected."""
     context = plain.observations.context
-    reasons = {name: effect.find_missing(context) for name, effect in wanted.effects.items()}
+    reasons = {name: effect.missing(context) for name, effect in wanted.effects.items()}
     scores = scores_of(said.problem, said.posterior, measure_shown(said.problem, said.posterior))
     return FitLoop(
         base=base,

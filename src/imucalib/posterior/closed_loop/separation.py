@@ -248,9 +248,7 @@ def _of_step(
         return None
     without = drop_effects(fit, names[:1])
     context = without.observations.context
-    effects = [
-        e for e in named if e.name not in without.model.names and not e.find_missing(context)
-    ]
+    effects = [e for e in named if e.name not in without.model.names and not e.missing(context)]
     if len(effects) < 2:
         return None
     held = replace(without, noise=fit.noise)

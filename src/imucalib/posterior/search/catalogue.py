@@ -161,7 +161,7 @@ def _usable(data: Observations, effect: Effect, *, parts: bool = False) -> bool:
         count = len(effect.parameters(data.context)), len(whole.parameters(data.context))
         whole = whole if count[0] >= count[1] else None
     by_size = effect.stage == "sensor" and whole is None
-    return (data.reference.directed or by_size) and not effect.find_missing(data.context)
+    return (data.reference.directed or by_size) and not effect.missing(data.context)
 
 
 def _whole(effect: Effect, context: Context) -> tuple[Effect, Index, Array]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.rows import ParsedRows
-from imucalib.readers.csv.select import HeaderFacts, Selection
+from imucalib.readers.csv.select import Selection, Table
 from imucalib.readers.csv.stamps import MISSING, TextTime, text_layout, text_to_ns
 from imucalib.readers.fields.timebase import contradicts, date_of, seconds_of, stamps_of
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
@@ -41,18 +41,18 @@ class TableClock:
     resolution: float = 0.0
     typical: float = 0.0
 
-    def seconds(self, stamps: NDArray[np.generic]) -> tuple[Array, Flags, Flags]:
-        """Seconds since the start of parsed stamps (n,), NaN where blank; which stamps are not
-        understood, and which lie in a leap second."""
-        numbers, wrong, leap = _numbers(stamps, self.text)
-        return seconds_of(numbers, self.origin, self.unit, MISSING), wrong, leap
+    def seconds(self, stamps: NDArray[np.generic]) -> tuple[Array, Flags]:
+        """Seconds since the start of parsed stamps (n,), NaN where blank; and which stamps are not
+        understood."""
+        numbers, wrong = _numbers(stamps, self.text)
+        return seconds_of(numbers, self.origin, self.unit, MISSING), wrong
 
 
 def _numbers(
     stamps: NDArray[np.generic], text: TextTime | None
-) -> tuple[NDArray[np.generic], Flags, Flags]:
+) -> tuple[NDArray[np.generic], Flags]:
     if text is None:
-        return stamps, *np.zeros((2, *stamps.shape), dtype=np.bool_)
+        return stamps, np.zeros(stamps.shape, dtype=np.bool_)
     return text_to_ns(stamps.astype(np.bytes_), text)
 
 
@@ -70,20 +70,18 @@ def clock_by_rate(
 
 
 def clock_by_stamps(
+    table: Table,
     selection: Selection,
-    mapping: FieldMapping,
-    facts: HeaderFacts,
-    *,
     pieces: Sequence[tuple[ParsedRows, Flags]],
     texts: Sequence[bytes],
     kind: str,
-    where: str,
 ) -> tuple[TableClock, list[str]]:
     """The clock, and what had to be found out about it. Raises UnreadableInput where it cannot be.
 
     pieces : rows of the looks, and those where the main channel has a value
     texts : some stamps; kind : of them, as in `Layout`
     """
+    mapping, facts, where = table.mapping, table.facts, str(table.path)
     text = _text_of(selection, mapping, texts, where) if kind == "text" else None
     heading = "" if selection.time_unit.lower() in _NO_UNIT else selection.time_unit
     stamps = [_understood(rows, text, where) for rows, _ in pieces]
@@ -127,7 +125,7 @@ def _text_of(
 
 def _understood(rows: ParsedRows, text: TextTime | None, where: str) -> NDArray[np.generic]:
     """Stamps as numbers; those of bad rows, which are named when they are read, are blank here."""
-    numbers, wrong, _ = _numbers(rows.stamps, text)
+    numbers, wrong = _numbers(rows.stamps, text)
     if 2 * np.count_nonzero(wrong) > wrong.size:
         raise bad_stamp(replace(rows, lines=None), int(np.argmax(wrong)), 0, where)
     return numbers

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.csv.text import COMMENT, cells_of, decoded, is_blank, is_number
+from imucalib.readers.csv.text import COMMENT, cells_of, decode_text, is_blank, is_number
 from imucalib.readers.devices.catalogue import rows_of_heading
 from imucalib.readers.fields.choice import Field, find_vectors
 from imucalib.readers.fields.words import instant_rank, understand
@@ -78,7 +78,7 @@ class Dialect:
 
     def is_whole(self, line: bytes) -> bool:
         """Whether a last line without its end is a row: of a number that is cut, decimals lack."""
-        row = cells_of(decoded(line), self.delimiter)
+        row = cells_of(decode_text(line), self.delimiter)
         return len(row) == self.width and 0 < self.decimals == _decimals(row[-1], self.decimal)
 
     def rows_of(self, pieces: Sequence[bytes]) -> list[list[str]]:
@@ -106,7 +106,7 @@ def sniff(pieces: Sequence[bytes], mapping: FieldMapping, where: str) -> Dialect
     The start alone misleads: it may be zeros, or a header. Raises UnreadableInput when no table
     of numbers is found.
     """
-    lines = [decoded(piece).split("\n")[:-1] for piece in pieces]
+    lines = [decode_text(piece).split("\n")[:-1] for piece in pieces]
     body = _body(lines, mapping.skip or 0)
     text = "".join(body)
     delimiters = [mapping.delimiter] if mapping.delimiter else list(_DELIMITERS)

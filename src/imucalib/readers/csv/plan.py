@@ -15,13 +15,11 @@ from imucalib.readers.csv.clock import TableClock, clock_by_rate, clock_by_stamp
 from imucalib.readers.csv.dialect import Dialect, sniff
 from imucalib.readers.csv.rows import ParsedRows, TableLayout, parse
 from imucalib.readers.csv.select import (
-    HeaderFacts,
     Selection,
+    Table,
     by_clock,
     column_index,
-    contents_of,
     facts_of,
-    nothing_found,
     select,
 )
 from imucalib.readers.csv.text import (
@@ -33,13 +31,11 @@ from imucalib.readers.csv.text import (
     no_row_has,
     take_turns,
 )
-from imucalib.readers.devices.catalogue import Device
 from imucalib.readers.fields import conversion
 from imucalib.readers.fields.choice import Vector, resolve_mapping
-from imucalib.readers.fields.contents import unread
+from imucalib.readers.fields.contents import describe_unread
 from imucalib.readers.fields.conversion import Conversion
-from imucalib.readers.fields.timebase import stepping
-from imucalib.readers.fields.words import understand
+from imucalib.readers.fields.timebase import measure_steps
 from imucalib.recording.mapping import FieldMapping
 
 _ADJACENT = 200  # rows that show whether those of devices take turns
@@ -61,39 +57,28 @@ class TableSignal:
 
 
 @dataclass(frozen=True)
-class TableShape:
-    """What is known of a table before its columns are chosen, as in `TablePlan`."""
-
-    dialect: Dialect
-    facts: HeaderFacts
-    conditions: tuple[tuple[int, Condition], ...]
-
-
-@dataclass(frozen=True)
 class TablePlan:
     """How to read one file.
 
-    facts : of the lines above the table; resolved : the mapping that reads it so again
-    conditions : column from 0, and what the rows that are read hold there
+    resolved : the mapping that reads it so again
     """
 
+    table: Table
     layout: TableLayout
     clock: TableClock
     signals: tuple[TableSignal, ...]
-    facts: HeaderFacts
     notes: tuple[str, ...]
     resolved: FieldMapping
-    conditions: tuple[tuple[int, Condition], ...] = ()
 
     def rows_in(self, lines: Lines) -> Lines:
         """The lines without those above the table, and without rows that are not wanted."""
-        dialect = self.layout.dialect
+        dialect = self.table.dialect
         above = dialect.data_line - lines.first_line
         if above > 0:
             parts = lines.data.split(b"\n", above)
             data = parts[-1] if len(parts) > above else b""
             lines = replace(lines, data=data, first_line=dialect.data_line)
-        return _choose(lines, self.conditions, dialect)
+        return _choose(lines, self.table.conditions, dialect)
 
 
 def _choose(lines: Lines, conditions: Sequence[tuple[int, Condition]], dialect: Dialect) -> Lines:
@@ -120,26 +105,27 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[TablePlan]:
             remedy="copy it again from its source: it is empty, cut off, or packed and damaged",
         )
     dialect = sniff(pieces, mapping, where)
-    facts = facts_of(dialect.preamble, where)
     wanted = map(Condition.of, mapping.where)
     conditions = tuple((column_index(c.name, dialect, "where"), c) for c in wanted)
-    words = [] if conditions else _columns_of_words(dialect, pieces)
-    if not conditions:
-        _demand_one_device(dialect, pieces[0], where)
+    facts = facts_of(dialect.preamble, where)
     if conditions:
-        pieces = _pieces_chosen(pieces, conditions, dialect, mapping, where)
         facts = replace(facts, rows=None, crc=None)
-    selection = select(dialect, mapping, facts, pieces, path.name)
+    table = Table(dialect, facts, mapping, pieces, path, conditions)
+    if conditions:
+        table = replace(table, pieces=_pieces_chosen(table))
+    else:
+        _demand_one_device(dialect, pieces[0], where)
+    selection = select(table)
     if not selection.vectors:
-        raise nothing_found(dialect, pieces, where)
+        raise table.nothing_found()
     used = {k for v in selection.vectors for k in (*v.parts, v.clock)} | set(selection.time)
     used |= {at for at, _ in conditions}
-    some = [f"not read, since only some rows have it: {', '.join(dialect.more)}"]
-    left = (*words, *some[: len(dialect.more)], *unread(contents_of(dialect, pieces, used)))
-    selection = replace(selection, notes=(*selection.notes, *left))
-    shape = TableShape(dialect, facts, conditions)
-    each = by_clock(selection, understand(dialect.names))
-    plans = [_plan(shape, one, mapping, pieces, where) for one in each]
+    table.notes.extend([] if conditions else _columns_of_words(table))
+    if dialect.more:
+        some = ", ".join(dialect.more)
+        table.notes.append(f"not read, since only some rows have it: {some}")
+    table.notes.extend(describe_unread(table.contents(used)))
+    plans = [_plan(table, one) for one in by_clock(selection, table.columns)]
     main = plans[0].clock
     dated = {(p.clock.unit, p.clock.start_ns is None) for p in plans}
     if len(dated) > 1:
@@ -148,61 +134,44 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[TablePlan]:
             where=where,
             remedy="read one sensor with --acc or --gyro and its own --time",
         )
-    whole = _resolve(mapping, dialect, plans, selection, device=facts.device)
+    whole = _resolve(table, plans, selection)
     clocks = [replace(p.clock, origin=main.origin, start_ns=main.start_ns) for p in plans]
     return [replace(p, resolved=whole, clock=c) for p, c in zip(plans, clocks, strict=True)]
 
 
-def _plan(
-    shape: TableShape,
-    selection: Selection,
-    mapping: FieldMapping,
-    pieces: Sequence[bytes],
-    where: str,
-) -> TablePlan:
+def _plan(table: Table, selection: Selection) -> TablePlan:
     """What is read by one clock."""
-    dialect, facts = shape.dialect, shape.facts
-    layout, stamps = _layout(dialect, selection, pieces)
-    parsed = _parse_looks(pieces, layout, where)
+    facts, mapping, where = table.facts, table.mapping, str(table.path)
+    layout, stamps = _layout(table, selection)
+    parsed = _parse_looks(table.pieces, layout, where)
     if layout.kind:
         main = [(r, _has_all(selection.vectors[0], layout, r)) for r in parsed]
-        clock, clock_notes = clock_by_stamps(
-            selection, mapping, facts, pieces=main, texts=stamps, kind=layout.kind, where=where
-        )
+        clock, clock_notes = clock_by_stamps(table, selection, main, stamps, layout.kind)
     else:
         clock, clock_notes = clock_by_rate(mapping.rate or facts.rate, facts.start_ns, where)
-    notes = [*facts.notes, *selection.notes, *clock_notes]
+    notes = [*facts.notes, *table.notes, *clock_notes]
     used = [v for v in selection.vectors if any(_has_all(v, layout, r).any() for r in parsed)]
     notes += [f"{v.name} left out: no values" for v in selection.vectors if v not in used]
     if not any(v.quantity != "temperature" for v in used):
         raise UnreadableInput("the chosen columns hold no values", where=where)
-
-    def signal(vector: Vector) -> TableSignal:
-        return _signal(
-            vector, layout, parsed, mapping, clock=clock, device=facts.device, where=where
-        )
-
-    signals = conversion.readable(used, signal, notes)
+    signals = conversion.make_readable(
+        used, lambda v: _signal(v, table, layout, parsed, clock), notes
+    )
     notes += [s.conversion.note for s in signals if s.conversion.note]
     unique = tuple(dict.fromkeys(notes))
-    return TablePlan(layout, clock, signals, facts, unique, mapping, conditions=shape.conditions)
+    return TablePlan(table, layout, clock, signals, unique, mapping)
 
 
-def _pieces_chosen(
-    pieces: Sequence[bytes],
-    conditions: Sequence[tuple[int, Condition]],
-    dialect: Dialect,
-    mapping: FieldMapping,
-    where: str,
-) -> list[bytes]:
+def _pieces_chosen(table: Table) -> list[bytes]:
     """The looks without the rows that are not wanted. Raises UnreadableInput for none."""
-    lines = pieces[0].split(b"\n")
+    dialect, conditions = table.dialect, table.conditions
+    lines = table.pieces[0].split(b"\n")
     above = b"".join(line + b"\n" for line in lines[: dialect.data_line - 1])
-    below = [b"\n".join(lines[dialect.data_line - 1 :]), *pieces[1:]]
+    below = [b"\n".join(lines[dialect.data_line - 1 :]), *table.pieces[1:]]
     kept = [_choose(Lines(p, 1), conditions, dialect).data for p in below]
     if not any(kept):
-        rows = dialect.rows_of(pieces)
-        raise no_row_has(mapping.where, [[row[at] for row in rows] for at, _ in conditions], where)
+        cells = [[row[at] for row in table.rows] for at, _ in conditions]
+        raise no_row_has(table.mapping.where, cells, str(table.path))
     return [above + kept[0], *filter(None, kept[1:])]
 
 
@@ -222,22 +191,20 @@ def _demand_one_device(dialect: Dialect, piece: bytes, where: str) -> None:
             )
 
 
-def _columns_of_words(dialect: Dialect, pieces: Sequence[bytes]) -> list[str]:
+def _columns_of_words(table: Table) -> list[str]:
     """Sentences on columns of a few words, which may be of more than one sensor."""
-    rows = dialect.rows_of(pieces) if dialect.names else []
     every = (
-        few_values(name, [row[k] for row in rows], dialect.decimal)
-        for k, name in enumerate(dialect.names)
+        few_values(name, [row[k] for row in table.rows], table.dialect.decimal)
+        for k, name in enumerate(table.dialect.names)
     )
     return [sentence for sentence in every if sentence]
 
 
-def _layout(
-    dialect: Dialect, selection: Selection, pieces: Sequence[bytes]
-) -> tuple[TableLayout, list[bytes]]:
+def _layout(table: Table, selection: Selection) -> tuple[TableLayout, list[bytes]]:
     """The layout, and some stamps of each look as text."""
+    dialect = table.dialect
     samples: list[bytes] = []
-    for number, piece in enumerate(pieces if selection.time else ()):
+    for number, piece in enumerate(table.pieces if selection.time else ()):
         lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]
         lines = lines[dialect.data_line - 1 :] if number == 0 else lines
         for line in lines[:_SAMPLES] + lines[-_SAMPLES:]:
@@ -280,13 +247,10 @@ def _has_all(vector: Vector, layout: TableLayout, rows: ParsedRows) -> Flags:
 
 def _signal(
     vector: Vector,
+    table: Table,
     layout: TableLayout,
     parsed: Sequence[ParsedRows],
-    mapping: FieldMapping,
-    *,
     clock: TableClock,
-    device: Device,
-    where: str,
 ) -> TableSignal:
     at = _places(vector, layout)
     raw: list[Array] = [rows.values[:, at] for rows in parsed]
@@ -295,23 +259,21 @@ def _signal(
     rate, threshold = clock.rate, clock.threshold
     if clock.unit and not clock.resolution:
         times = (clock.seconds(rows.stamps)[0] for rows in parsed)
-        steps = stepping([t[k] for t, k in zip(times, known, strict=True)])
+        steps = measure_steps([t[k] for t, k in zip(times, known, strict=True)])
         rate, threshold = (1.0 / steps.step, steps.threshold) if steps else (rate, threshold)
-    source = conversion.UnitSource(vector.unit, device.scales)
-    place = f"{where}: {vector.triad}" if vector.quantity == "acceleration" else where
-    how = conversion.of_looks(vector.quantity, mapping, source, whole, rate=rate, where=place)
+    source = conversion.UnitSource(vector.unit, table.facts.device.scales)
+    where = (
+        f"{table.path}: {vector.triad}" if vector.quantity == "acceleration" else str(table.path)
+    )
+    how = conversion.find_conversion(
+        vector.quantity, table.mapping, source, whole, rate=rate, where=where
+    )
     return TableSignal(vector, at, how, rate, threshold)
 
 
-def _resolve(
-    mapping: FieldMapping,
-    dialect: Dialect,
-    plans: Sequence[TablePlan],
-    selection: Selection,
-    *,
-    device: Device,
-) -> FieldMapping:
+def _resolve(table: Table, plans: Sequence[TablePlan], selection: Selection) -> FieldMapping:
     """The mapping that reads this file, and others like it, the same way."""
+    dialect, mapping = table.dialect, table.mapping
     signals, clock = [s for plan in plans for s in plan.signals], plans[0].clock
     units = {s.vector.name: s.conversion.source_unit for s in signals}
     # Counts a g that the device was found to have.
@@ -329,6 +291,6 @@ def _resolve(
         time_unit="" if " since " in selection.time_unit else clock.unit,
         decimal=dialect.decimal,
         delimiter=dialect.delimiter,
-        preset=mapping.preset or device.name,
+        preset=mapping.preset or table.facts.device.name,
         lsb_per_g=mapping.lsb_per_g or (tuple(scales) if len(scales) == 1 else ()),
     )

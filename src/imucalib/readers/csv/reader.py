@@ -20,7 +20,7 @@ from imucalib.file_hash import sha256_of
 from imucalib.readers.csv.clock import bad_stamp
 from imucalib.readers.csv.plan import TablePlan, make_plans
 from imucalib.readers.csv.rows import ParsedRows, parse
-from imucalib.readers.csv.stamps import spread
+from imucalib.readers.csv.stamps import spread_rows
 from imucalib.readers.csv.text import Lines, cells_of, is_number, line_blocks, text_head
 from imucalib.readers.fields.joining import Joined
 from imucalib.readers.fields.timebase import find_gaps
@@ -51,15 +51,10 @@ class CsvReader(Joined):
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Yield the table in blocks of about `block_samples` rows."""
-        try:
-            plans = make_plans(path, mapping)
-            tables = [_Table(path, plan).blocks(block_samples, strict) for plan in plans]
-            found = tables[0] if len(tables) == 1 else _side_by_side(tables)
-            yield from drop_repeats(found) if plans[0].facts.device.sleeps else found
-        except OSError as error:
-            raise UnreadableInput(
-                f"the file cannot be read: {error.strerror or error}", where=str(path)
-            ) from error
+        plans = make_plans(path, mapping)
+        tables = [_Table(path, plan).blocks(block_samples, strict) for plan in plans]
+        found = tables[0] if len(tables) == 1 else _side_by_side(tables)
+        yield from drop_repeats(found) if plans[0].table.facts.device.sleeps else found
 
 
 READER = CsvReader()
@@ -85,7 +80,6 @@ class _Table:
     """One table as it is read, block after block.
 
     row : rows so far; last, sums : of each channel's times the last, their sum and number
-    leaps : seconds :60 that are over; in_leap : whether the last row lies in one
     moved : s that stamps without a date have been moved on; last_of_period : their last time
     held : coarse stamps and values of a group that may go on
     whole : rows that have a value of every sensor; idle, missing, unstamped, bad : other rows
@@ -94,7 +88,6 @@ class _Table:
     def __init__(self, path: Path, plan: TablePlan) -> None:
         self.path, self.plan = path, plan
         self.row, self.moved, self.last_of_period = 0, 0.0, -np.inf
-        self.leaps, self.in_leap = 0, False
         self.last: dict[str, float] = {}
         self.sums: dict[str, tuple[float, int]] = {}
         self.held: tuple[Array, Array] | None = None
@@ -113,9 +106,9 @@ class _Table:
             plan.clock.start_ns,
             notes=plan.notes,
             mapping=plan.resolved.to_dict(),
-            corrections=plan.facts.corrections,
-            device=plan.facts.device.name,
-            serial=plan.facts.serial,
+            corrections=plan.table.facts.corrections,
+            device=plan.table.facts.device.name,
+            serial=plan.table.facts.serial,
         )
         last: Recording | None = None
         size = block_samples * max(16, 10 * plan.layout.dialect.width)
@@ -124,7 +117,7 @@ class _Table:
             if lines is not None:
                 lost += [lines.note] if lines.note else []
                 below = lines.data.partition(b"\n")[2] if lines.first_line == 1 else lines.data
-                crc = 0 if plan.facts.crc is None else zlib.crc32(below, crc)
+                crc = 0 if plan.table.facts.crc is None else zlib.crc32(below, crc)
             block = self._block(lines and plan.rows_in(lines))
             if block is not None:
                 if last is not None:
@@ -139,7 +132,7 @@ class _Table:
         }
         last, footer = _drop_footer(last, means)
         lost += [f"{self.bad} rows left out; {self.first_bad}"] if self.bad else []
-        lost += plan.facts.contradicted(self.row, crc)
+        lost += plan.table.facts.contradicted(self.row, crc)
         if strict and lost:
             raise UnreadableInput(lost[0], where=str(self.path), remedy="copy the file again")
         count = self._count(footer)
@@ -187,7 +180,7 @@ class _Table:
         self.row += t.size
         keep = np.isfinite(t)
         self.unstamped += int(t.size - np.count_nonzero(keep))
-        if self.plan.facts.device.sleeps:
+        if self.plan.table.facts.device.sleeps:
             idle = (values == 0.0).all(axis=1)
             self.idle += int(idle.sum())
             keep &= ~idle
@@ -199,9 +192,7 @@ class _Table:
         if not clock.unit:
             count = rows.values.shape[0]
             return (self.row + np.arange(count, dtype=np.float64)) / clock.rate, rows
-        t, wrong, leap = clock.seconds(rows.stamps)
-        if leap.any() or self.leaps:
-            t = t + self._leaps(leap)
+        t, wrong = clock.seconds(rows.stamps)
         if wrong.any():
             bad = [bad_stamp(rows, k, line, str(self.path)) for k in np.flatnonzero(wrong).tolist()]
             if 2 * len(bad) > wrong.size:
@@ -218,13 +209,6 @@ class _Table:
         self.moved = float(moved[-1])
         return np.asarray(t + moved), rows
 
-    def _leaps(self, leap: Flags) -> Array:
-        """Leap seconds that have ended before each row: clocks of a date leave them out."""
-        ended = np.diff(leap.astype(np.int8), prepend=np.int8(self.in_leap)) < 0
-        passed = self.leaps + np.cumsum(ended)
-        self.leaps, self.in_leap = int(passed[-1]), bool(leap[-1])
-        return passed.astype(np.float64)
-
     def _spread(self, t: Array, values: Array, *, flush: bool) -> tuple[Array, Array]:
         """Coarse stamps spread; the last group waits for the next block, where it may go on."""
         if self.held is not None:
@@ -238,7 +222,7 @@ class _Table:
             t, values = t[:cut], values[:cut]
         if t.size:
             clock = self.plan.clock
-            t = t + spread(t, clock.resolution, clock.typical, self.first_group)
+            t = t + spread_rows(t, clock.resolution, clock.typical, self.first_group)
             self.first_group = False
         return t, values
 

@@ -9,6 +9,8 @@ import re
 import zlib
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnnamedColumns, UsageError
 from imucalib.question import paste
 from imucalib.readers.csv.dialect import Dialect
-from imucalib.readers.csv.text import is_number
+from imucalib.readers.csv.text import Condition, is_number
 from imucalib.readers.devices.catalogue import UNKNOWN, Device, DeviceStart, device_named_in
 from imucalib.readers.fields.choice import OPTIONS, Field, Vector, choose
 from imucalib.readers.fields.contents import Content, listing, norm_of
@@ -122,163 +124,93 @@ def _sum_of(text: str) -> int:
         return -1
 
 
-def contents_of(
-    dialect: Dialect, pieces: Sequence[bytes], used: Container[int] = ()
-) -> list[Content]:
-    """Every column of numbers that is not used with its median, those of a vector with its norm;
-    where none is used, columns of text as well."""
-    rows = dialect.rows_of(pieces)
-    names = [dialect.address(i) for i in range(dialect.width)]
-    left = [i for i in range(dialect.width) if dialect.numeric[i] and i not in used]
-    threes = [[left[k] for k in one] for one in triples_of([names[i] for i in left])]
-    found = {}
-    for three in threes:
-        norm = norm_of(_numbers(rows, three, dialect.decimal))
-        found[three[0]] = Content(", ".join(names[i] for i in three), "numbers", 0, norm=norm)
-        left = [i for i in left if i not in three]
-    for i in left:
-        values = _numbers(rows, (i,), dialect.decimal)
-        finite = values[np.isfinite(values)]
-        median = float(np.median(finite)) if finite.size else float("nan")
-        found[i] = Content(names[i], "numbers", 0, median=median)
-    for i, numeric in enumerate(dialect.numeric if not used else ()):
-        if not numeric:
-            example = next((row[i] for row in rows), "")
-            found[i] = Content(names[i], f"text such as '{example[:30]}'", 0)
-    return [found[i] for i in sorted(found)]
-
-
-def nothing_found(dialect: Dialect, pieces: Sequence[bytes], where: str) -> UnnamedColumns:
-    """The error for a table in which no names tell of an acceleration or an angular rate: every
-    column with its median, and every three neighbours whose norm is that of gravity."""
-    rows = dialect.rows_of(pieces)
-    names = [dialect.address(i) for i in range(dialect.width)]
-    columns, vectors = contents_of(dialect, pieces), list[Content]()
-    for i in range(dialect.width - 2):
-        if all(dialect.numeric[i : i + 3]):
-            values = _numbers(rows, range(i, i + 3), dialect.decimal)
-            if _is_gravity(values[np.isfinite(values).all(axis=1)]):
-                address = ",".join(names[i : i + 3])
-                vectors.append(Content(address, "one vector?", 0, norm=norm_of(values)))
-    what = f"the {dialect.width} columns have no names"
-    option = vectors[0].address if len(vectors) == 1 else "X,Y,Z"
-    return UnnamedColumns(
-        ("no acceleration columns among" if dialect.names else what)
-        + f":{listing([*columns, *vectors])}\n",
-        where=where,
-        remedy=f"Name them: {paste('--acc', option)} (and --gyro, --time or --rate, --unit)",
-    )
-
-
-def _is_gravity(values: Array) -> bool:
-    """Whether vectors (n, 3) hardly change their norm while each axis changes: gravity's mark."""
-    if not values.size:
-        return False
-    low, middle, high = np.percentile(np.linalg.norm(values, axis=1), [25, 50, 75])
-    turns = (np.ptp(values, axis=0) > 0.2 * middle).all()
-    return bool(middle > 0 and turns and high - low < 0.05 * middle)
-
-
-def _numbers(rows: Sequence[Sequence[str]], columns: Sequence[int], decimal: str) -> Array:
-    """(n, k) numbers of some columns, NaN for what is none."""
-
-    def number(cell: str) -> float:
-        return float(cell.replace(decimal, ".")) if is_number(cell, decimal) else np.nan
-
-    found = [[number(row[k]) for k in columns] for row in rows]
-    return np.array(found).reshape(len(rows), len(columns))
-
-
 @dataclass(frozen=True)
-class Selection:
-    """Vectors to read; time : column, those that make a stamp together, or none; time_unit as the
-    name states it; time_order : of the parts of a stamp, where these are known; notes."""
+class Table:
+    """What is known of a file before its columns are chosen.
 
-    vectors: tuple[Vector, ...]
-    time: tuple[int, ...]
-    time_unit: str
-    notes: tuple[str, ...] = ()
-    time_order: str = ""
-
-
-def select(
-    dialect: Dialect,
-    mapping: FieldMapping,
-    facts: HeaderFacts,
-    pieces: Sequence[bytes],
-    stem: str = "",
-) -> Selection:
-    """Choose the columns: none when neither an acceleration nor an angular rate is found.
-
-    pieces : the looks; stem : the file's name, which tells a phone's sensors apart
-    Raises UsageError for a column that is not there.
+    dialect : its shape
+    facts : of the lines above the table
+    mapping : what the user states
+    pieces : the looks
+    path : of the file, whose name tells a phone's sensors apart
+    conditions : column from 0, and what the rows that are read hold there
+    notes : what had to be chosen, filled meanwhile
     """
-    notes: list[str] = []
-    bare = bare_quantity(stem.partition(".")[0])
-    columns = understand(dialect.names, bare)
-    turned = bare == "angular_rate" and any(c.quantity for c in columns)
-    if turned and columns != understand(dialect.names):
-        notes.append("x, y, z are taken as an angular rate, by the name of the file")
-    mapping = _of_device(mapping, facts.device, dialect)
-    table = _Table(dialect, mapping, facts, pieces, columns, notes)
-    every = table.vectors()
-    vectors = [v for v in every if v.quantity != "temperature"]
-    time, time_unit, order = table.time()
-    free = not time and not mapping.rate and not columns
-    if vectors and free:
-        time = table.time_without_names(vectors)
-    if not vectors:
-        vectors, guessed = table.by_position()
-        time = guessed if free else time
-        every = [*vectors, *every]
-    if not vectors:
-        return Selection((), (), "")
-    if len(time) > 1:
-        names = ", ".join(dialect.names[k] if dialect.names else str(k + 1) for k in time)
-        notes.append(f"time: columns {names} taken together")
-    every = [v if v.quantity == "temperature" else _add_unit(v, facts) for v in every]
-    if len(time) == 1 and not mapping.time:
-        every = table.add_clocks(every)
-    return Selection(tuple(every), time, time_unit, tuple(notes), order)
-
-
-def _of_device(mapping: FieldMapping, device: Device, dialect: Dialect) -> FieldMapping:
-    """The mapping, with the columns that the device names where the user names none and the table
-    has them."""
-    names = {*dialect.names, *(c.name for c in understand(dialect.names))}
-    usual = {option: getattr(device.fields, option) for option in OPTIONS.values()}
-    known = {option: each for option, each in usual.items() if names.issuperset(each)}
-    if device.fields.time in names and not mapping.rate:
-        known["time"] = device.fields.time
-    return mapping if mapping.acc or mapping.gyro else mapping.fill_from(FieldMapping(**known))
-
-
-def by_clock(selection: Selection, columns: Sequence[Meaning]) -> list[Selection]:
-    """What is read by each clock of a table whose sensors have their own."""
-    clocks = list(dict.fromkeys(v.clock for v in selection.vectors))
-    if clocks == [-1]:
-        return [selection]
-    return [
-        replace(
-            selection,
-            vectors=tuple(v for v in selection.vectors if v.clock == clock),
-            time=(clock,),
-            time_unit=columns[clock].unit,
-        )
-        for clock in clocks
-    ]
-
-
-@dataclass(frozen=True)
-class _Table:
-    """What is known of a table; columns : what its names say; notes : what had to be chosen."""
 
     dialect: Dialect
-    mapping: FieldMapping
     facts: HeaderFacts
+    mapping: FieldMapping
     pieces: Sequence[bytes]
-    columns: list[Meaning]
-    notes: list[str]
+    path: Path
+    conditions: tuple[tuple[int, Condition], ...] = ()
+    notes: list[str] = field(default_factory=list)
+
+    @cached_property
+    def rows(self) -> list[list[str]]:
+        """The cells of some rows of every look."""
+        return self.dialect.rows_of(self.pieces)
+
+    @cached_property
+    def columns(self) -> list[Meaning]:
+        """What the names of the columns say; none where they have no names."""
+        names, bare = self.dialect.names, bare_quantity(self.path.name.partition(".")[0])
+        found = understand(names, bare)
+        turned = bare == "angular_rate" and any(c.quantity for c in found)
+        if turned and found != understand(names):
+            self.notes.append("x, y, z are taken as an angular rate, by the name of the file")
+        return found
+
+    def numbers(self, columns: Sequence[int]) -> Array:
+        """(n, k) numbers of some columns in the rows, NaN for what is none."""
+        mark = self.dialect.decimal
+
+        def number(cell: str) -> float:
+            return float(cell.replace(mark, ".")) if is_number(cell, mark) else np.nan
+
+        found = [[number(row[k]) for k in columns] for row in self.rows]
+        return np.array(found).reshape(len(self.rows), len(columns))
+
+    def contents(self, used: Container[int] = ()) -> list[Content]:
+        """Every column of numbers that is not used with its median, those of a vector with its
+        norm; where none is used, columns of text as well."""
+        dialect = self.dialect
+        names = [dialect.address(i) for i in range(dialect.width)]
+        left = [i for i in range(dialect.width) if dialect.numeric[i] and i not in used]
+        threes = [[left[k] for k in one] for one in triples_of([names[i] for i in left])]
+        found = {}
+        for three in threes:
+            norm = norm_of(self.numbers(three))
+            found[three[0]] = Content(", ".join(names[i] for i in three), "numbers", 0, norm=norm)
+            left = [i for i in left if i not in three]
+        for i in left:
+            values = self.numbers((i,))
+            finite = values[np.isfinite(values)]
+            median = float(np.median(finite)) if finite.size else float("nan")
+            found[i] = Content(names[i], "numbers", 0, median=median)
+        for i, numeric in enumerate(dialect.numeric if not used else ()):
+            if not numeric:
+                example = next((row[i] for row in self.rows), "")
+                found[i] = Content(names[i], f"text such as '{example[:30]}'", 0)
+        return [found[i] for i in sorted(found)]
+
+    def nothing_found(self) -> UnnamedColumns:
+        """The error for a table in which no names tell of an acceleration or an angular rate: every
+        column with its median, and every three neighbours whose norm is that of gravity."""
+        dialect, vectors = self.dialect, list[Content]()
+        for i in range(dialect.width - 2):
+            if all(dialect.numeric[i : i + 3]):
+                values = self.numbers(range(i, i + 3))
+                if _is_gravity(values[np.isfinite(values).all(axis=1)]):
+                    address = ",".join(map(dialect.address, range(i, i + 3)))
+                    vectors.append(Content(address, "one vector?", 0, norm=norm_of(values)))
+        what = f"the {dialect.width} columns have no names"
+        option = vectors[0].address if len(vectors) == 1 else "X,Y,Z"
+        return UnnamedColumns(
+            ("no acceleration columns among" if dialect.names else what)
+            + f":{listing([*self.contents(), *vectors])}\n",
+            where=str(self.path),
+            remedy=f"Name them: {paste('--acc', option)} (and --gyro, --time or --rate, --unit)",
+        )
 
     def vectors(self) -> list[Vector]:
         """Those that the user names, those that the names tell, the temperature of the device."""
@@ -396,8 +328,8 @@ class _Table:
 
     def _two_sensors(self, numbers: tuple[int, ...], said: str) -> list[Vector]:
         """Two triples of columns, of which one has the norm of gravity; else none."""
-        rows, halves = self.dialect.rows_of(self.pieces), (numbers[:3], numbers[3:])
-        norms = [norm_of(_numbers(rows, at, self.dialect.decimal)) for at in halves]
+        halves = numbers[:3], numbers[3:]
+        norms = [norm_of(self.numbers(at)) for at in halves]
         heavy = [Content("", "", 0, norm=norm).like_gravity for norm in norms]
         if sum(heavy) != 1:
             return []
@@ -405,6 +337,79 @@ class _Table:
         self.notes.append(f"no column names: taken as {said}{first}, by the norm of gravity")
         force, turn = halves if heavy[0] else halves[::-1]
         return [Vector("acceleration", "imu0", force), Vector("angular_rate", "imu0", turn)]
+
+
+def _is_gravity(values: Array) -> bool:
+    """Whether vectors (n, 3) hardly change their norm while each axis changes: gravity's mark."""
+    if not values.size:
+        return False
+    low, middle, high = np.percentile(np.linalg.norm(values, axis=1), [25, 50, 75])
+    turns = (np.ptp(values, axis=0) > 0.2 * middle).all()
+    return bool(middle > 0 and turns and high - low < 0.05 * middle)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Vectors to read; time : column, those that make a stamp together, or none; time_unit as the
+    name states it; time_order : of the parts of a stamp, where these are known."""
+
+    vectors: tuple[Vector, ...]
+    time: tuple[int, ...]
+    time_unit: str
+    time_order: str = ""
+
+
+def select(table: Table) -> Selection:
+    """Choose the columns: none when neither an acceleration nor an angular rate is found. Raises
+    UsageError for a column that is not there."""
+    dialect, facts = table.dialect, table.facts
+    table = replace(table, mapping=_of_device(table.mapping, facts.device, dialect))
+    every = table.vectors()
+    vectors = [v for v in every if v.quantity != "temperature"]
+    time, time_unit, order = table.time()
+    free = not time and not table.mapping.rate and not table.columns
+    if vectors and free:
+        time = table.time_without_names(vectors)
+    if not vectors:
+        vectors, guessed = table.by_position()
+        time = guessed if free else time
+        every = [*vectors, *every]
+    if not vectors:
+        return Selection((), (), "")
+    if len(time) > 1:
+        names = ", ".join(dialect.names[k] if dialect.names else str(k + 1) for k in time)
+        table.notes.append(f"time: columns {names} taken together")
+    every = [v if v.quantity == "temperature" else _add_unit(v, facts) for v in every]
+    if len(time) == 1 and not table.mapping.time:
+        every = table.add_clocks(every)
+    return Selection(tuple(every), time, time_unit, order)
+
+
+def _of_device(mapping: FieldMapping, device: Device, dialect: Dialect) -> FieldMapping:
+    """The mapping, with the columns that the device names where the user names none and the table
+    has them."""
+    names = {*dialect.names, *(c.name for c in understand(dialect.names))}
+    usual = {option: getattr(device.fields, option) for option in OPTIONS.values()}
+    known = {option: each for option, each in usual.items() if names.issuperset(each)}
+    if device.fields.time in names and not mapping.rate:
+        known["time"] = device.fields.time
+    return mapping if mapping.acc or mapping.gyro else mapping.fill_from(FieldMapping(**known))
+
+
+def by_clock(selection: Selection, columns: Sequence[Meaning]) -> list[Selection]:
+    """What is read by each clock of a table whose sensors have their own."""
+    clocks = list(dict.fromkeys(v.clock for v in selection.vectors))
+    if clocks == [-1]:
+        return [selection]
+    return [
+        replace(
+            selection,
+            vectors=tuple(v for v in selection.vectors if v.clock == clock),
+            time=(clock,),
+            time_unit=columns[clock].unit,
+        )
+        for clock in clocks
+    ]
 
 
 def _nearest(times: Sequence[int], column: int, right: bool) -> int:

@@ -246,24 +246,22 @@ def _order_of(
     return ("DMY" if day_first or faster else "MDY") + clock, True, ambiguous and not faster
 
 
-def text_to_ns(stamps: NDArray[np.bytes_], layout: TextTime) -> tuple[Int, Flags, Flags]:
+def text_to_ns(stamps: NDArray[np.bytes_], layout: TextTime) -> tuple[Int, Flags]:
     """(n,) nanoseconds since 1970 (UTC when a zone is stated), or since the start of the period
-    without a date; which stamps are not understood; and which lie in a leap second (:60), whose
-    times are those of the next one. The former and blank ones are MISSING."""
+    without a date; and which stamps are not understood. These and blank ones are MISSING."""
     out = np.full(stamps.shape, MISSING, dtype=np.int64)
     codes = np.frombuffer(stamps.tobytes(), dtype=np.uint8).reshape(stamps.size, -1)
     codes = np.where((codes >= 65) & (codes <= 90), codes + np.uint8(32), codes)  # lower case
     filled = np.flatnonzero(~np.isin(codes.view(stamps.dtype)[:, 0], _BLANK))
-    wrong, leap = np.zeros((2, *stamps.shape), dtype=np.bool_)
+    wrong = np.zeros(stamps.shape, dtype=np.bool_)
     wrong[filled] = True
     codes = codes[filled]
     for shape, rows in _by_form(codes):
         form = _form_of(shape, layout)
         if form is not None and _UNDERSTOOD.fullmatch(form.plain):
-            ns, bad, sixty = _read(codes[rows], form, layout)
+            ns, bad = _read(codes[rows], form, layout)
             out[filled[rows]], wrong[filled[rows]] = np.where(bad, MISSING, ns), bad
-            leap[filled[rows]] = sixty & ~bad
-    return out, wrong, leap
+    return out, wrong
 
 
 def _by_form(codes: Codes) -> Iterator[tuple[bytes, Index | slice]]:
@@ -291,16 +289,16 @@ def _number(codes: Codes, span: tuple[int, int]) -> Int:
     return out
 
 
-def _read(codes: Codes, form: _Form, layout: TextTime) -> tuple[Int, Flags, Flags]:
-    """Stamps of one form in ns, which are impossible, and which lie in a leap second."""
+def _read(codes: Codes, form: _Form, layout: TextTime) -> tuple[Int, Flags]:
+    """Stamps of one form in ns, and which are impossible."""
     spans = [found.span() for found in re.finditer(rb"\d+", form.plain)]
     order = layout.order
     zero, every = np.zeros(len(codes), dtype=np.int64), np.ones(len(codes), dtype=np.bool_)
     if not len(order) - order.endswith("f") <= len(spans) <= len(order):
-        return zero, every, ~every
+        return zero, every
     size = {letter: stop - start for letter, (start, stop) in zip(order, spans, strict=False)}
     if any(n > _LONGEST.get(c, 2) for c, n in size.items()) or size.get("H", 6) != 6:
-        return zero, every, ~every
+        return zero, every
     at = {letter: _number(codes, span) for letter, span in zip(order, spans, strict=False)}
     if form.month >= 0:
         number = int(form.plain[form.month : form.month + 2])
@@ -308,7 +306,7 @@ def _read(codes: Codes, form: _Form, layout: TextTime) -> tuple[Int, Flags, Flag
     if "H" in at:
         at |= {"h": at["H"] // 10_000, "m": at["H"] // 100 % 100, "s": at["H"] % 100}
     hour, minute, second = (at.get(letter, zero) for letter in "hms")
-    bad = (hour > 23) | (minute > 59) | (second > 60)
+    bad = (hour > 23) | (minute > 59) | (second > 59)
     if layout.half:
         bad |= (hour > 12) & (form.afternoon == 0)
         hour = np.where(hour > 12, hour, hour % 12 + 12 * form.afternoon)
@@ -321,7 +319,7 @@ def _read(codes: Codes, form: _Form, layout: TextTime) -> tuple[Int, Flags, Flag
     hours, minutes = _number(codes, form.hours), _number(codes, form.minutes)
     bad |= (hours > 14) | (minutes > 59)
     east = form.east + form.sign * (hours * _PER_HOUR + minutes * _PER_MINUTE)
-    return ns - east, bad, second == 60
+    return ns - east, bad
 
 
 def _days(at: dict[str, Int], size: dict[str, int]) -> tuple[Int, Flags]:
@@ -337,7 +335,7 @@ def _days(at: dict[str, Int], size: dict[str, int]) -> tuple[Int, Flags]:
     return dates.astype(np.int64), np.asarray(bad | (dates.astype("M8[M]") != months))
 
 
-def spread(stamps: Array, resolution: float, typical: float, first: bool) -> Array:
+def spread_rows(stamps: Array, resolution: float, typical: float, first: bool) -> Array:
     """Delay (s) of each row after its coarse stamp, even over the step to the next stamp.
 
     stamps : (n,) s, in which every group of equal stamps is complete, except the first one when

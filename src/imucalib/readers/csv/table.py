@@ -10,7 +10,6 @@ import zipfile
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ from imucalib.readers.csv.text import (
     COMMENT,
     Condition,
     cells_of,
-    decoded,
+    decode_text,
     is_number,
     no_row_has,
     text_head,
@@ -96,10 +95,10 @@ def table_cells(
         rows, top, delimiter = _text(path, mapping, most)
         decimal, stated = mapping.decimal or "," * (delimiter != ","), bool(mapping.decimal)
     found = _columns_of(rows, top, str(path), decimal=decimal, stated=stated, exclude=exclude)
-    return selected(found, mapping, str(path))
+    return select_rows(found, mapping, str(path))
 
 
-def selected(cells: Cells, mapping: FieldMapping, where: str) -> Cells:
+def select_rows(cells: Cells, mapping: FieldMapping, where: str) -> Cells:
     """The rows that `mapping.where` names. Raises UsageError for a column that is not there."""
     wanted = [Condition.of(text) for text in mapping.where]
     for condition in wanted:
@@ -241,7 +240,13 @@ def _from_heading(rows: list[list[str]]) -> tuple[int, list[list[str]]]:
     width = next((w for w, _ in widths.most_common() if w > 1), 0)
     many = [sum(map(_reads, row)) for row in rows]
     data = next(
-        (k for k, r in enumerate(rows) if len(r) == width and many[k] >= max(2, _share(r))), None
+        # Of a row of numbers half of the cells with something in them are.
+        (
+            k
+            for k, row in enumerate(rows)
+            if len(row) == width and many[k] >= max(2, 0.5 * sum(map(bool, row)))
+        ),
+        None,
     )
     filled = [k for k, row in enumerate(rows[:data]) if any(row)]
     units = bool(filled) and _are_units(rows[filled[-1]])
@@ -255,21 +260,12 @@ def _from_heading(rows: list[list[str]]) -> tuple[int, list[list[str]]]:
     groups = rows[names[-2]] if len(names) > 1 else []
     again = {name for name, count in Counter(heading).items() if name and count > 1}
     if again and len(groups) == len(heading):
-        merged = list(accumulate(groups, _or_last))
+        merged = [next(filter(None, groups[k::-1]), "") for k in range(len(groups))]
         heading = [
             f"{name} {group}" if name in again and group else name
             for name, group in zip(heading, merged, strict=True)
         ]
     return at, [heading, *between, *rows[data:]]
-
-
-def _or_last(last: str, cell: str) -> str:
-    return cell or last
-
-
-def _share(row: Sequence[str]) -> float:
-    """Half of a row's cells with something in them: of a row of numbers so many are."""
-    return 0.5 * sum(map(bool, row))
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -315,7 +311,7 @@ def _lines(path: Path, skip: int, most: int) -> Iterator[tuple[int, str]]:
     _demand_text(text_head(head_of(path)) or b"\0", path)
     data = whole_text(path, most)
     _demand_text(data, path)
-    text = decoded(data)
+    text = decode_text(data)
     for number, line in enumerate(text.split("\n"), start=1):
         if len(line) > _LONGEST:
             what, remedy = f"a line of {len(line)} characters", "give a table, a row a position"

@@ -27,6 +27,20 @@ _LONGEST_LINE = 1 << 20
 _HEAD = 1 << 18  # unpacked bytes of the first look
 _LOOKS = 24  # looks spread over the file, so that some fall on a rest
 _CONTROL = (b"\0", b"\x01", b"\x02", b"\x03", b"\x08", b"\x7f")  # in no text
+BLANK = {""} | set(
+    str.split(
+        "nan na n/a null none - -- #n/a ? inf -inf +inf #value! #ref! #div/0! #num! #name? #null!"
+    )
+)
+_NUMBER = {
+    ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"),
+    ",": re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?"),
+}
+COMMENT = re.compile(r"^\s*(#|//|%)+\s*")  #: what begins a remark
+#: Values that a column may take to be named: more are no sensors, tools or sessions of one file.
+_FEW = 12
+#: Words of headings whose numbers are names.
+_NAMES = {"serial", "id", "tool", "device", "sensor", "subject", "tag", "session", "tagid"}
 
 
 @dataclass(frozen=True)
@@ -197,18 +211,6 @@ def count_of(text: bytes, byte: bytes) -> int:
     return int(np.count_nonzero(np.frombuffer(text, np.uint8) == ord(byte)))
 
 
-BLANK = {""} | set(
-    str.split(
-        "nan na n/a null none - -- #n/a ? inf -inf +inf #value! #ref! #div/0! #num! #name? #null!"
-    )
-)
-_NUMBER = {
-    ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"),
-    ",": re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?"),
-}
-COMMENT = re.compile(r"^\s*(#|//|%)+\s*")  #: what begins a remark
-
-
 def cells_of(line: str, delimiter: str) -> list[str]:
     """The stripped cells of one line, quotes removed; the delimiter " " is any run of blanks."""
     if '"' in line:
@@ -221,7 +223,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     return line.split() if delimiter == " " else [c.strip() for c in line.split(delimiter)]
 
 
-def decoded(text: bytes) -> str:
+def decode_text(text: bytes) -> str:
     """Text of UTF-8, or else of Windows-1252, in which spreadsheets write a degree sign."""
     try:
         return text.decode("utf-8")
@@ -237,12 +239,6 @@ def is_number(cell: str, decimal: str = ".") -> bool:
 def is_blank(cell: str) -> bool:
     """Whether the cell stands for a missing value."""
     return cell.lower() in BLANK
-
-
-#: Values that a column may take to be named: more are no sensors, tools or sessions of one file.
-_FEW = 12
-#: Words of headings whose numbers are names.
-_NAMES = {"serial", "id", "tool", "device", "sensor", "subject", "tag", "session", "tagid"}
 
 
 @dataclass(frozen=True)

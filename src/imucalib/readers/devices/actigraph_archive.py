@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.packets import Log, Packets
+from imucalib.readers.devices.packets import Log, Packets, zone_of
 from imucalib.readers.fields.source import small_directory
 
 #: What a damaged archive raises, depending on where the damage is.
@@ -91,7 +91,7 @@ class Archive:
 
     def log(self, name: str, packets: Iterator[Packets]) -> Log:
         """The packets of a format with what info.txt says."""
-        serial, zone = self.info.get("Serial Number", ""), self._zone()
+        serial, zone = self.info.get("Serial Number", ""), zone_of(self.info.get("TimeZone", ""))
         known = f"{serial or 'of unknown number'}, {self.rate:g} Hz"
         notes = [f"ActiGraph {known}, {self.scale:g} counts a g"]
         if zone is None:
@@ -150,16 +150,6 @@ class Archive:
         if not (0.0 < rate <= _MOST_RATE and 0.0 < scale < float("inf")):
             raise UnreadableInput(f"sample rate {rate:g} and scale {scale:g}", where=where)
         return rate, scale
-
-    def _zone(self) -> int | None:
-        """The offset of the wearer's clock from UTC, s."""
-        zone = self.info.get("TimeZone", "")
-        try:
-            hours, minutes, seconds = map(int, zone.lstrip("+-").split(":"))
-        except ValueError:
-            return None
-        size = 3600 * hours + 60 * minutes + seconds
-        return -size if zone.startswith("-") else size
 
 
 def _sound(path: Path) -> bool:

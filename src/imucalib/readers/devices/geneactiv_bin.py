@@ -8,7 +8,6 @@ instruction manual, appendix on the binary file. The format has no checksum.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -27,7 +26,8 @@ from imucalib.readers.devices.packets import (
     open_packets,
     packets_of,
     recordings,
-    twelve_bits,
+    unpack_twelve_bits,
+    zone_of,
 )
 from imucalib.readers.fields.joining import Joined
 from imucalib.recording.mapping import FieldMapping
@@ -95,7 +95,7 @@ class GeneactivReader(Joined):
             pages = _pages(stream, str(path))
             facts = _facts(next(pages, [b""])[0])
             gain, offset = _calibration(facts, str(path))
-            zone_s = _zone(facts.get("Time Zone", ""))
+            zone_s = zone_of(facts.get("Time Zone", ""))
             serial = facts.get("Device Unique Serial Code", "")
             notes = [f"GENEActiv {serial or 'of unknown number'}"]
             if zone_s is None:
@@ -125,7 +125,6 @@ def _pages(stream: Stream, where: str) -> Iterator[list[bytes]]:
             return
         if len(rest) > (_MOST_WASTE if headed else _MOST_HEADER) + _PIECE:
             raise UnreadableInput("this holds no pages of GENEActiv", where=where)
-        rest = rest if not headed or found or rest else b""
 
 
 def _facts(text: bytes) -> dict[str, str]:
@@ -147,15 +146,6 @@ def _calibration(facts: dict[str, str], where: str) -> tuple[Array, Array]:
             remedy="copy the file from the device again",
         )
     return gain, offset
-
-
-def _zone(text: str) -> int | None:
-    """Of the clock, s east of UTC."""
-    zone = re.search(r"([+-])(\d{1,2}):(\d{2})", text)
-    if zone is None:
-        return None
-    size = 3600 * int(zone[2]) + 60 * int(zone[3])
-    return -size if zone[1] == "-" else size
 
 
 def _packets(
@@ -205,4 +195,4 @@ def _samples(page: bytes) -> NDArray[np.int16]:
     digits = lines[-1] if lines else b""
     if len(digits) != _DIGITS:
         raise ValueError(f"{len(digits)} of {_DIGITS} digits")
-    return twelve_bits(bytes.fromhex(digits.decode("ascii"))).reshape(-1, 4)[:, :3]
+    return unpack_twelve_bits(bytes.fromhex(digits.decode("ascii"))).reshape(-1, 4)[:, :3]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.actigraph_archive import Archive, members_of
-from imucalib.readers.devices.packets import Packets, packets_of, recordings, twelve_bits
+from imucalib.readers.devices.packets import Packets, packets_of, recordings, unpack_twelve_bits
 from imucalib.readers.fields.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -112,4 +112,4 @@ def _counts(payload: bytes, kind: int) -> NDArray[np.int16]:
     """(k, 3) counts, axes x y z; an odd rest is left out."""
     if kind == _WHOLE:
         return np.frombuffer(payload[: len(payload) // 6 * 6], "<i2").reshape(-1, 3)
-    return twelve_bits(payload[: len(payload) // 9 * 9]).reshape(-1, 3)[:, [1, 0, 2]]
+    return unpack_twelve_bits(payload[: len(payload) // 9 * 9]).reshape(-1, 3)[:, [1, 0, 2]]

@@ -14,7 +14,7 @@ import numpy as np
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.actigraph_archive import Archive, members_of
-from imucalib.readers.devices.packets import Packets, packets_of, recordings, twelve_bits
+from imucalib.readers.devices.packets import Packets, packets_of, recordings, unpack_twelve_bits
 from imucalib.readers.fields.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -63,7 +63,9 @@ def _packets(archive: Archive, start_ns: int) -> Iterator[Packets]:
         data, more = rest + piece, bool(piece)
         used = len(data) // _PAIR * _PAIR if more else len(data)
         # A sample alone at the end fills four bytes and a half.
-        numbers = twelve_bits(data[:used].ljust(-(-used // _PAIR) * _PAIR, b"\0")).reshape(-1, 3)
+        numbers = unpack_twelve_bits(data[:used].ljust(-(-used // _PAIR) * _PAIR, b"\0")).reshape(
+            -1, 3
+        )
         counts, rest = numbers[: used * 2 // _PAIR, [1, 0, 2]], data[used:]
         first = np.arange(0, len(counts), _PACKET)
         yield packets_of(

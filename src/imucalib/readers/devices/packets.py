@@ -10,13 +10,16 @@ begins a new part.
 
 from __future__ import annotations
 
+import gzip
+import re
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from io import BufferedReader
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,28 +27,25 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
-from imucalib.readers.fields.conversion import (
-    Conversion,
-    UnitSource,
-    acceleration,
-    angular_rate,
-    readings_at_rest,
-    temperature,
-)
+from imucalib.readers.fields.conversion import Conversion, UnitSource, find_conversion
 from imucalib.readers.fields.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
 _GZIP, _GZIP_BITS = b"\x1f\x8b", 31
-_FEED = 1 << 10  # packed bytes at a time: what comes before damage in them is lost with them
-_PLAIN = 1 << 16
+_FEED = 1 << 13  # bytes at a time: what comes before damage in them is lost with them
+_SLACK = 2.0  # samples that a stamp may be off
+_AROUND = 3.0  # s of packets on each side that decide a sample's time
+_GAP = 1.75  # periods
+_PACKET = np.dtype([("stamp", "i8"), ("at", "i8"), ("count", "i8"), ("rate", "f8"), ("warm", "f8")])
+_SECOND = 1_000_000_000  # ns
 
 
 @dataclass
 class Stream:
     """Bytes of a file. lost : gets a sentence when they end too early"""
 
-    pieces: Iterator[bytes]
+    source: gzip.GzipFile | BufferedReader
     where: str
     strict: bool
     lost: list[str]
@@ -59,7 +59,7 @@ class Stream:
         """
         held, parts = len(self._ahead), [self._ahead]
         try:
-            while held < size and (piece := next(self.pieces, None)) is not None:
+            while held < size and (piece := self.source.read1(_FEED)):
                 parts.append(piece)
                 held += len(piece)
                 self._passed += len(piece)
@@ -88,40 +88,25 @@ def head_unpacked(head: bytes, size: int) -> bytes:
 def open_packets(path: Path, *, strict: bool, lost: list[str]) -> Iterator[Stream]:
     """The file's bytes, unpacked where they are gzipped."""
     with path.open("rb") as raw:
-        packed = raw.read(2) == _GZIP
-        raw.seek(0)
-        pieces = _unpack(raw) if packed else iter(lambda: raw.read(_PLAIN), b"")
-        yield Stream(pieces, str(path), strict, lost)
+        packed = raw.peek(2).startswith(_GZIP)
+        yield Stream(gzip.GzipFile(fileobj=raw) if packed else raw, str(path), strict, lost)
 
 
-def _unpack(raw: BinaryIO) -> Iterator[bytes]:
-    """The content of gzip streams that follow each other; raises EOFError for one without end."""
-    unpacker = zlib.decompressobj(_GZIP_BITS)
-    while piece := raw.read(_FEED):
-        while piece:
-            if unpacker.eof:
-                unpacker = zlib.decompressobj(_GZIP_BITS)
-            yield unpacker.decompress(piece)
-            # Zeros after the end fill a block of a tape or a disk.
-            piece = unpacker.unused_data.lstrip(b"\0") if unpacker.eof else b""
-    if not unpacker.eof:
-        raise EOFError("gzip's end mark is missing")
+def zone_of(text: str) -> int | None:
+    """Seconds east of UTC of "GMT +01:00" or "-05:30:00"; None where none are stated."""
+    found = re.search(r"([+-]?)(\d{1,2}):(\d\d)(?::(\d\d))?", text)
+    if found is None:
+        return None
+    size = 3600 * int(found[2]) + 60 * int(found[3]) + int(found[4] or 0)
+    return -size if found[1] == "-" else size
 
 
-def twelve_bits(raw: bytes | NDArray[np.uint8]) -> NDArray[np.int16]:
+def unpack_twelve_bits(raw: bytes | NDArray[np.uint8]) -> NDArray[np.int16]:
     """(n,) numbers of twelve bits in two's complement, two in each three bytes."""
     codes = np.frombuffer(raw, np.uint8).reshape(-1, 3).astype(np.int16)
     first = codes[:, 0] << 4 | codes[:, 1] >> 4
     numbers = np.stack([first, (codes[:, 1] & 15) << 8 | codes[:, 2]], axis=1).reshape(-1)
     return np.where(numbers > 2047, numbers - 4096, numbers).astype(np.int16)
-
-
-_SLACK = 2.0  # samples that a stamp may be off
-_AROUND = 3.0  # s of packets on each side that decide a sample's time
-_GAP = 1.75  # periods
-
-
-_PACKET = np.dtype([("stamp", "i8"), ("at", "i8"), ("count", "i8"), ("rate", "f8"), ("warm", "f8")])
 
 
 class Packets(NamedTuple):
@@ -221,11 +206,14 @@ def recordings(log: Log, path: Path, mapping: FieldMapping, samples: int) -> Ite
 def _units(
     packets: Packets, rate: float, mapping: FieldMapping, where: str
 ) -> dict[str, Conversion]:
-    rest = readings_at_rest([packets.acc], max(3, round(rate)))
+    each = (
+        ("acceleration", "g", packets.acc),
+        ("angular_rate", "deg/s", packets.gyro),
+        ("temperature", "degC", packets.heads["warm"]),
+    )
     return {
-        "acceleration": acceleration(mapping, UnitSource("g", fixed=True), rest, where),
-        "angular_rate": angular_rate(mapping, "deg/s", where),
-        "temperature": temperature(mapping, "degC", packets.heads["warm"], where),
+        q: find_conversion(q, mapping, UnitSource(unit, fixed=True), [x], rate=rate, where=where)
+        for q, unit, x in each
     }
 
 
@@ -290,9 +278,6 @@ def _time_packets(
             yield whole.part(a, b), origin, t
         back = [whole.part(max(0, ready - around), ready)]
         held = [whole.part(ready, whole.heads.size)]
-
-
-_SECOND = 1_000_000_000  # ns
 
 
 def _within_seconds(pieces: Iterator[Packets], drift: float) -> Iterator[Packets]:

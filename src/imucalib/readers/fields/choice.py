@@ -108,7 +108,8 @@ def choose(
         forces = len(stated.get("acceleration", ())) if quantity == "angular_rate" else 0
         before = forces if len(names) >= forces + len(every) else 0
         for k, parts in enumerate(every):
-            triad, numbered = sensor_name(names, k, before)
+            numbered = before + k >= len(names)
+            triad = f"imu{k}" if numbered else names[before + k]
             own.append(replace(vector_of(quantity, triad, parts, told), numbered=numbered))
     triads = dict.fromkeys(v.triad for v in own if v.quantity in INERTIAL)
     sensors = [(told[v.parts[0]].triad or "imu0", v.triad) for v in own] if told else []
@@ -139,13 +140,6 @@ def resolve_mapping(
     acc, gyro = triads["acceleration"], triads["angular_rate"]
     fields["triads"] = acc if gyro == acc[: len(gyro)] else acc + gyro
     return replace(mapping, **fields, **more)
-
-
-def sensor_name(names: Sequence[str], number: int, before: int = 0) -> tuple[str, bool]:
-    """What the user calls a stated vector, and whether that is only a number. before : names of
-    others in front of it"""
-    at = before + number
-    return (names[at], False) if at < len(names) else (f"imu{number}", True)
 
 
 def _firsts(vectors: Sequence[Vector]) -> list[Vector]:

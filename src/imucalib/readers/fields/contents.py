@@ -54,11 +54,15 @@ def norm_of(values: Array) -> float:
     return float(np.median(norms)) if norms.size else math.nan
 
 
+def _shown(contents: Sequence[Content]) -> list[str]:
+    """The first in words, and how many more there are."""
+    more = len(contents) - _SHOWN
+    return [*map(str, contents[:_SHOWN]), *([f"and {more} more"] if more > 0 else [])]
+
+
 def listing(contents: Sequence[Content]) -> str:
     """One indented line each, for an error's text."""
-    lines = [f"\n  {content}" for content in contents[:_SHOWN]]
-    more = len(contents) - _SHOWN
-    return "".join(lines) + (f"\n  and {more} more" if more > 0 else "")
+    return "".join(f"\n  {words}" for words in _shown(contents))
 
 
 def suggestion(contents: Sequence[Content]) -> str:
@@ -69,9 +73,6 @@ def suggestion(contents: Sequence[Content]) -> str:
     return f"; the norm of gravity is in: {paste('--acc', fitting[0])}"
 
 
-def unread(contents: Sequence[Content]) -> tuple[str, ...]:
+def describe_unread(contents: Sequence[Content]) -> tuple[str, ...]:
     """The sentence on what a file holds beside what is read; none where that is all of it."""
-    shown = [str(content) for content in contents[:_SHOWN]]
-    more = len(contents) - _SHOWN
-    shown += [f"and {more} more"] if more > 0 else []
-    return (f"not read: {'; '.join(shown)}",) if shown else ()
+    return (f"not read: {'; '.join(_shown(contents))}",) if contents else ()

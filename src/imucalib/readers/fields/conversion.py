@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,28 @@ _FARTHEST = 50.0
 #: What every direction of the sphere must hold of the readings' spread, and how far the middle one
 #: of them may lie from the sphere, of its radius: scales and misalignments differ by less.
 _SPREAD, _OFF = 0.05, 0.05
+COUNTS = "counts"
+_IMPLAUSIBLE = 3.0  # a stated unit is refused when the norm at rest is off by this factor
+_SAME_SCALE = 1.25  # the same for a device that has a few known scales
+_LIKE_1024 = (1012.0, 1037.0)  # norms that 1024 counts a g explain better than mg
+_REST_SECONDS = 0.5  # window of the look for rest
+_STILL_SHARE = 0.1  # the quietest windows that stand for "at rest"
+#: Values that are written where there is none, as integers of 16 and 32 bits and by hand.
+_MISSING = (-999.0, 9999.0, -9999.0, 99999.0, -99999.0, 1e20, -1e20, -32768.0, -2147483648.0)
+_SET_APART = 3.0  # times what else an axis reads
+_BITS = (12, 16, 24, 32)
+T = TypeVar("T")
+#: What is said of a rate whose unit nobody states.
+UNKNOWN_RATE = "angular rate: no unit is stated, kept as raw counts; name it with --gyro-unit"
+#: degC = (raw - offset) * factor
+_CELSIUS, _FAHRENHEIT = (1.0, 0.0), (5.0 / 9.0, 32.0)
+_TEMPERATURE = {
+    **dict.fromkeys(("degC", "C", "°C", "deg C", "celsius", "Celsius", "deg_C"), _CELSIUS),
+    **dict.fromkeys(("degF", "F", "°F"), _FAHRENHEIT),
+    "K": (1.0, 273.15),
+}
+#: A degree sign that a conversion between character sets has made into something else.
+_MANGLED = re.compile(r"[^\w\s/]{1,3}\s?C|[ÂÃïº˚ª½\W]{1,3}C|\u2103")
 
 
 @dataclass(frozen=True)
@@ -78,14 +100,6 @@ def zero_g(rest: Array) -> ZeroG | None:
     return ZeroG(level, scale * radius)
 
 
-COUNTS = "counts"
-_IMPLAUSIBLE = 3.0  # a stated unit is refused when the norm at rest is off by this factor
-_SAME_SCALE = 1.25  # the same for a device that has a few known scales
-_LIKE_1024 = (1012.0, 1037.0)  # norms that 1024 counts a g explain better than mg
-_REST_SECONDS = 0.5  # window of the look for rest
-_STILL_SHARE = 0.1  # the quietest windows that stand for "at rest"
-
-
 @dataclass(frozen=True)
 class Conversion:
     """Output = axes((raw - offset) * factor), in `unit`.
@@ -118,18 +132,14 @@ class Conversion:
 
     def apply(self, raw: NDArray[np.generic]) -> Array:
         """Convert raw values (..., 3), or (..., 1) for a scalar quantity, to float64."""
-        values = restore_sign(without(np.asarray(raw, dtype=np.float64), self.missing), self.wrap)
+        values = restore_sign(
+            mask_missing(np.asarray(raw, dtype=np.float64), self.missing), self.wrap
+        )
         if self.offset.any():
             values = values - self.offset
         if (self.factor != 1.0).any():
             values = values * self.factor
         return self.axes.apply(values)
-
-
-#: Values that are written where there is none, as integers of 16 and 32 bits and by hand.
-_MISSING = (-999.0, 9999.0, -9999.0, 99999.0, -99999.0, 1e20, -1e20, -32768.0, -2147483648.0)
-_SET_APART = 3.0  # times what else an axis reads
-_BITS = (12, 16, 24, 32)
 
 
 def missing_values(looks: Sequence[Array]) -> tuple[float, ...]:
@@ -144,7 +154,7 @@ def missing_values(looks: Sequence[Array]) -> tuple[float, ...]:
     return tuple(np.unique(whole[apart]).tolist())
 
 
-def without(values: Array, missing: tuple[float, ...]) -> Array:
+def mask_missing(values: Array, missing: tuple[float, ...]) -> Array:
     """The values with NaN for those that stand for none."""
     return np.where(np.isin(values, missing), np.nan, values) if missing else values
 
@@ -217,16 +227,13 @@ class UnitSource:
     whole: bool = False
 
 
-def acceleration(
-    mapping: FieldMapping, source: UnitSource | str, rest: Array, where: str
-) -> Conversion:
+def _acceleration(mapping: FieldMapping, source: UnitSource, rest: Array, where: str) -> Conversion:
     """Conversion of raw acceleration to m/s².
 
-    source : what the file states, or just its unit; rest : (k, 3) raw readings at rest, from
-    `readings_at_rest`, used to find the unit and to refuse a wrong one, whoever states it. Raises
-    UnreadableInput when no unit fits, UsageError for an unknown one.
+    rest : (k, 3) raw readings at rest, from `readings_at_rest`, used to find the unit and to refuse
+    a wrong one, whoever states it. Raises UnreadableInput when no unit fits, UsageError for an
+    unknown one.
     """
-    source = UnitSource(source) if isinstance(source, str) else source
     offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
     unit = unit_of_axes(mapping.acc_unit or source.unit, "--unit", where)
     norms = np.linalg.norm(rest - offset, axis=1)
@@ -264,7 +271,7 @@ def acceleration(
     return found(unit, factor)
 
 
-def of_looks(
+def find_conversion(
     quantity: str,
     mapping: FieldMapping,
     source: UnitSource,
@@ -273,34 +280,24 @@ def of_looks(
     rate: float,
     where: str,
 ) -> Conversion:
-    """Conversion of any quantity. looks : raw values (n, k), all finite; rate : Hz"""
-    window = max(3, round(_REST_SECONDS * rate))
-    if quantity in INERTIAL:
-        return of_vectors(quantity, mapping, source, looks, window=window, where=where)
-    return temperature(mapping, source.unit, np.concatenate(looks)[:, 0], where)
+    """Conversion of any quantity; of an acceleration or an angular rate also of what it holds for
+    "no value", and of a sign that was lost.
 
-
-def of_vectors(
-    quantity: str,
-    mapping: FieldMapping,
-    source: UnitSource,
-    looks: Sequence[Array],
-    *,
-    window: int,
-    where: str,
-) -> Conversion:
-    """Conversion of an acceleration or an angular rate, of what it holds for "no value" and of a
-    sign that was lost. looks : raw values (n, 3); window : samples of a rest; else as `of_looks`"""
+    looks : raw values (n, k), of consecutive samples each; rate : Hz, 0 where it is not known
+    """
+    if quantity not in INERTIAL:
+        return temperature(mapping, source.unit, np.concatenate(looks), where)
     missing = missing_values(looks)
-    looks = [without(v, missing) for v in looks]
+    looks = [mask_missing(v, missing) for v in looks]
     known = [v[np.isfinite(v).all(axis=1)] for v in looks]
     wrap = wrap_of(known) if any(v.size for v in known) else 0.0
     if quantity == "acceleration":
+        window = max(3, round(_REST_SECONDS * rate))
         rest = readings_at_rest([restore_sign(v, wrap) for v in looks], window)
         whole = all((v == np.rint(v)).all() for v in known)
-        how = acceleration(mapping, replace(source, whole=whole), rest, where)
+        how = _acceleration(mapping, replace(source, whole=whole), rest, where)
     else:
-        how = angular_rate(mapping, source.unit, where)
+        how = _angular_rate(mapping, source.unit, where)
     said = [how.note] if how.note else []
     if missing:
         codes = ", ".join(f"{code:g}" for code in missing)
@@ -310,20 +307,12 @@ def of_vectors(
     return replace(how, missing=missing, wrap=wrap, note="; ".join(said))
 
 
-class _Quantity(Protocol):
-    @property
-    def quantity(self) -> str: ...
-    @property
-    def triad(self) -> str: ...
-
-
-_Q = TypeVar("_Q", bound=_Quantity)
-_S = TypeVar("_S")
-
-
-def readable(channels: Sequence[_Q], make: Callable[[_Q], _S], notes: list[str]) -> tuple[_S, ...]:
-    """What `make` makes of each channel; one that others can do without (a thermometer, a gyroscope
-    beside an accelerometer) and that cannot be read is left out, and a note says why."""
+def make_readable(
+    channels: Sequence[Any], make: Callable[[Any], T], notes: list[str]
+) -> tuple[T, ...]:
+    """What `make` makes of each channel, which has a quantity and a triad; one that others can do
+    without (a thermometer, a gyroscope beside an accelerometer) and that cannot be read is left
+    out, and a note says why."""
     main = {c.quantity for c in channels if c.quantity != "temperature"}
     made = []
     for channel in channels:
@@ -426,11 +415,7 @@ def _without_gravity(norm: float, where: str) -> UnreadableInput:
     )
 
 
-#: What is said of a rate whose unit nobody states.
-UNKNOWN_RATE = "angular rate: no unit is stated, kept as raw counts; name it with --gyro-unit"
-
-
-def angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
+def _angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
     """Conversion of raw angular rate to rad/s; without any unit the numbers stay "counts"."""
     axes = parse_axis_map(mapping.axis_map)
     offset = _per_axis(mapping.gyro_offset, "gyro_offset", 0.0)
@@ -445,19 +430,6 @@ def angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
         return Conversion(COUNTS, COUNTS, np.ones(1), offset, axes, note)
     factor = _factor(unit, units.RATE_UNITS, mapping.gyro_unit, "--gyro-unit", where)
     return Conversion("rad/s", unit, factor, offset, axes)
-
-
-#: degC = (raw - offset) * factor
-_CELSIUS, _FAHRENHEIT = (1.0, 0.0), (5.0 / 9.0, 32.0)
-_TEMPERATURE = {
-    **dict.fromkeys(("degC", "C", "°C", "deg C", "celsius", "Celsius", "deg_C"), _CELSIUS),
-    **dict.fromkeys(("degF", "F", "°F"), _FAHRENHEIT),
-    "K": (1.0, 273.15),
-}
-
-
-#: A degree sign that a conversion between character sets has made into something else.
-_MANGLED = re.compile(r"[^\w\s/]{1,3}\s?C|[ÂÃïº˚ª½\W]{1,3}C|\u2103")
 
 
 def temperature(mapping: FieldMapping, stated: str, raw: Array, where: str) -> Conversion:

@@ -23,6 +23,24 @@ from imucalib.readers.fields.timebase import FASTEST, SIDES, SLOWEST, set_back
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
 
+_BACK = 1.0  # s; smaller steps are stamps out of order, which a note counts
+_MOST = 100  # parts: a clock that is set back more often is no clock
+#: Seconds after which counters begin again: of 16, 24 and 32 bits in s, ms, us or 100 us, of 32 in
+#: ns; stamps within a minute, an hour or a day.
+_PERIODS = {
+    **{
+        float(n): f"within {text}"
+        for n, text in ((60, "a minute"), (3600, "an hour"), (86_400, "a day"))
+    },
+    **{
+        2.0**bits * size: f"counter of {bits} bits in {unit}"
+        for unit, size in (("s", 1.0), ("ms", 1e-3), ("100 us", 1e-4), ("us", 1e-6), ("ns", 1e-9))
+        for bits in (8, 16, 24, 32)
+        if 2.0**bits * size > _BACK
+    },
+}
+_LATE = 4.0  # sample steps: a counter that begins again is read within a few of them
+
 
 def join(blocks: Iterable[Recording], where: str) -> Recording:
     """Concatenate the blocks of one file, channel by channel; notes and gaps in their order.
@@ -70,7 +88,7 @@ class Joined(ABC):
         return join(found, str(path))
 
 
-def together(recordings: Sequence[Recording]) -> Recording:
+def join_files(recordings: Sequence[Recording]) -> Recording:
     """One recording of files that one device wrote, each of other sensors, with clocks of one zero.
 
     Raises UsageError for a channel that two of them have, and for clocks that have no date in one
@@ -152,31 +170,12 @@ def add_notes(recording: Recording, notes: Iterable[str]) -> Recording:
     return replace(recording, notes=(*recording.notes, *notes))
 
 
-_BACK = 1.0  # s; smaller steps are stamps out of order, which a note counts
-_MOST = 100  # parts: a clock that is set back more often is no clock
-#: Seconds after which counters begin again: of 16, 24 and 32 bits in s, ms, us or 100 us, of 32 in
-#: ns; stamps within a minute, an hour or a day.
-_PERIODS = {
-    **{
-        float(n): f"within {text}"
-        for n, text in ((60, "a minute"), (3600, "an hour"), (86_400, "a day"))
-    },
-    **{
-        2.0**bits * size: f"counter of {bits} bits in {unit}"
-        for unit, size in (("s", 1.0), ("ms", 1e-3), ("100 us", 1e-4), ("us", 1e-6), ("ns", 1e-9))
-        for bits in (8, 16, 24, 32)
-        if 2.0**bits * size > _BACK
-    },
-}
-_LATE = 4.0  # sample steps: a counter that begins again is read within a few of them
-
-
 def in_parts(blocks: Iterator[Recording]) -> Iterator[Recording]:
     """The same blocks, with every part of a clock that was set back after the part before."""
     clock = _Clock()
     for block in blocks:
         if len(clock.moves) > 1 or any(g.stop < g.start - _BACK for g in block.gaps):
-            yield clock.moved(block)
+            yield clock.move(block)
         else:
             for name, channel in block.channels.items():
                 clock.keep(name, channel.t)
@@ -206,7 +205,7 @@ class _Clock:
         """Note the end of a channel's block."""
         self.last[name] = np.concatenate([self.last.get(name, t[:0]), t[-SIDES:]])[-SIDES:]
 
-    def moved(self, block: Recording) -> Recording:
+    def move(self, block: Recording) -> Recording:
         """The block, each sample moved on with its part."""
         self.notes, self.gaps, self.steps = [], [], set()
         self.dated = block.start_ns is not None

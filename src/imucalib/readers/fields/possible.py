@@ -10,7 +10,7 @@ import numpy as np
 
 from imucalib.arrays import Flags
 from imucalib.readers.fields.joining import add_notes, amend_last
-from imucalib.readers.fields.timebase import find_gaps, stepping
+from imucalib.readers.fields.timebase import find_gaps, measure_steps
 from imucalib.recording.recording import Channel, Count, Gap, Recording
 from imucalib.units import STANDARD_GRAVITY
 
@@ -51,19 +51,18 @@ class _Impossible:
     def without(self, channel: Channel) -> tuple[Channel, list[Gap]]:
         """The channel without them, and the gaps that they leave."""
         values, most = channel.values, _MOST if channel.unit == "m/s2" else np.inf
-        with np.errstate(invalid="ignore", over="ignore"):
-            low, high = values.min(), values.max()
-            if low >= -most and high <= most:
-                return channel, []
-            none: Flags = np.logical_not(np.isfinite(values).all(axis=1))
-            beyond: Flags = np.logical_and(~none, (np.abs(values) > most).any(axis=1))
+        low, high = values.min(), values.max()
+        if low >= -most and high <= most:
+            return channel, []
+        none: Flags = np.logical_not(np.isfinite(values).all(axis=1))
+        beyond: Flags = np.logical_and(~none, (np.abs(values) > most).any(axis=1))
         if np.count_nonzero(beyond) > _FEW * beyond.size:
             beyond = np.zeros_like(beyond)
         left = none | beyond
         self.missing += int(np.count_nonzero(none))
         self.beyond += int(np.count_nonzero(beyond))
         t, rows = channel.t[~left], np.flatnonzero(~left).astype(np.float64)
-        steps = stepping([t])
+        steps = measure_steps([t])
         gaps = find_gaps(t, rows, steps.threshold, None) if steps else []
         lacking = [gap for gap in gaps if gap.reason == "values missing"]
         return replace(channel, t=t, values=channel.values[~left]), lacking

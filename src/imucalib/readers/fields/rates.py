@@ -60,9 +60,7 @@ def check_rates(
                 block.channels.get(f"{name.rpartition('/')[0]}/acceleration"),
                 block.channels.get(name),
             )
-            # A damaged number may be of any size.
-            with np.errstate(over="ignore", invalid="ignore"):
-                own.add(*pair)
+            own.add(*pair)
         waiting.append(block)
         if not any(own.open for own in seen.values()):
             yield from _in_units_found(waiting, seen)
@@ -211,8 +209,7 @@ class _Rates:
             return self.found
         force, rate = ([np.concatenate(p) for p in zip(*((c.t, c.values) for c in cs), strict=True)]
                        for cs in pairs)  # fmt: skip
-        with np.errstate(over="ignore", invalid="ignore"):
-            self._look(*force, *rate)
+        self._look(*force, *rate)
         chance, off = self._weigh()
         best = int(np.argmax(chance.sum(axis=1)))
         least = float(off[best].min())

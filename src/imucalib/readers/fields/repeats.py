@@ -50,9 +50,7 @@ def mark_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
             measured = channel.quantity in ("acceleration", "angular_rate") and channel.t.size
             if measured and channel.triad not in corrected:
                 force = [h for h in held if h.channel == f"{channel.triad}/acceleration"]
-                # A damaged number may be of any size.
-                with np.errstate(over="ignore", invalid="ignore"):
-                    held += seen.setdefault(name, _Repeats(name, channel)).add(channel, force)
+                held += seen.setdefault(name, _Repeats(name, channel)).add(channel, force)
         return replace(block, held=tuple(held)) if held else block
 
     def notes() -> Iterator[str]:
@@ -62,24 +60,15 @@ def mark_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
 
 
 @dataclass
-class _Piece:
-    """Of pieces of a channel (k,): noise, step : (k, axes) size of a sample's noise, smallest step;
-    spread : of the readings; size : of their mean"""
-
-    noise: Array
-    step: Array
-    spread: Array
-    size: Array
-
-
-@dataclass
 class _Repeats:
     """What one channel has shown so far.
 
     count : samples; repeats : of them, all that equal the one before, `held` of these in stretches
         that are no measurement, `zone` in a gyroscope's dead zone
-    pieces : of the noise; step : (axes,) of the converter, at the quietest; chance : of a repeat of
-        all axes there, as a logarithm, 0 where nothing is known
+    pieces : (k, axes) noise of a sample and smallest step, (k,) spread of the readings and size of
+        their mean, of k pieces at a time
+    step : (axes,) of the converter, at the quietest
+    chance : of a repeat of all axes there, as a logarithm, 0 where nothing is known
     lengths : of runs of repeats; longest : s, of a stretch
     """
 
@@ -87,7 +76,7 @@ class _Repeats:
     like: Channel
     count: int = 0
     repeats: int = 0
-    pieces: list[_Piece] = field(default_factory=list)
+    pieces: list[tuple[Array, Array, Array, Array]] = field(default_factory=list)
     step: Array | None = None
     chance: float = 0.0
     lengths: list[Index] = field(default_factory=list)
@@ -122,7 +111,7 @@ class _Repeats:
 
     def _look(self, channel: Channel) -> None:
         """Size of the noise and smallest step, from pieces all over the samples."""
-        known = sum(len(p.size) for p in self.pieces)
+        known = sum(len(size) for *_, size in self.pieces)
         length = int(np.clip(_SECONDS * channel.rate, *_PIECE))
         count = channel.t.size // length
         if not count or known >= _PIECES:
@@ -139,20 +128,14 @@ class _Repeats:
             return
         # Few steps are those of a converter that hardly shows the noise.
         over = np.where(live >= _LIVE, live, steps.shape[2])
-        piece = _Piece(
-            noise=np.sqrt(0.5 * np.vecdot(steps, steps) / over[:, None]),
-            step=np.where(steps > 0.0, steps, np.inf).min(axis=2),
-            spread=values.std(axis=2).max(axis=1),
-            size=np.linalg.norm(values.mean(axis=2), axis=1),
-        )
-        self.pieces.append(piece)
+        noise = np.sqrt(0.5 * np.vecdot(steps, steps) / over[:, None])
+        smallest = np.where(steps > 0.0, steps, np.inf).min(axis=2)
+        size = np.linalg.norm(values.mean(axis=2), axis=1)
+        self.pieces.append((noise, smallest, values.std(axis=2).max(axis=1), size))
         self.chance = self._chance()
 
     def _chance(self) -> float:
-        noise, steps, spread, size = (
-            np.concatenate([getattr(p, part) for p in self.pieces])
-            for part in ("noise", "step", "spread", "size")
-        )
+        noise, steps, spread, size = map(np.concatenate, zip(*self.pieces, strict=True))
         least = _TURNING if self.like.unit == "rad/s" else np.inf
         if self.like.quantity == "acceleration":
             least = _LOUDEST * float(np.median(size))

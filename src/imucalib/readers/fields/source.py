@@ -17,6 +17,10 @@ HEAD_BYTES = 65536  #: what `recognises` gets to see
 #: Bytes within which a zip archive's end record lies (22 and a comment of 64 KiB), and of its
 #: directory: some 10,000 files.
 _ARCHIVE_END, _MOST_DIRECTORY = 22 + (1 << 16), 1 << 20
+_TABLE = "export the table as CSV, and give that"
+_OTHER = "give the recording or table itself"
+_READ = "and read that: imucal inspect FILE.csv"
+_UNPACK = "unpack it, and give one file of it"
 
 
 def head_of(path: Path) -> bytes:
@@ -73,12 +77,6 @@ class Kind:
     name: str
     remedy: str
     head: re.Pattern[bytes]
-
-
-_TABLE = "export the table as CSV, and give that"
-_OTHER = "give the recording or table itself"
-_READ = "and read that: imucal inspect FILE.csv"
-_UNPACK = "unpack it, and give one file of it"
 
 
 def _kinds(rows: Sequence[tuple[bytes, str, str]]) -> tuple[Kind, ...]:

@@ -29,6 +29,23 @@ _YEAR_2000, _YEAR_2100 = 946_684_800.0, 4_102_444_800.0
 _MISSING_ONE = 1.75  # a step of two periods is a lost sample when the clock is clean
 SIDES, _FEWEST = 9, 3  # samples on each side of a step back that decide whether it is one
 _JITTERY = 5.0  # else only a step of this many times its 99th percentile is a gap
+_SINCE = re.compile(r"\s*([A-Za-zµμ]+)\s+since\s+(.+?)\s*$")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+#: Spellings of the units of time.
+_ALIASES = by_word(
+    {
+        "s": "sec secs second seconds",
+        "ms": "msec msecs millis millisecond milliseconds millisec",
+        "us": "µs μs usec usecs micros microsecond microseconds microsec",
+        "min": "mins minute minutes",
+        "ns": "nsec nsecs nanos nanosecond nanoseconds nanosec",
+        "h": "hr hrs hour hours",
+        "d": "day days",
+        "excel": "serial",
+        "datenum": "matlab",
+        "julian": "jd",
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -39,7 +56,7 @@ class Stepping:
     threshold: float
 
 
-def stepping(pieces: Sequence[Array]) -> Stepping | None:
+def measure_steps(pieces: Sequence[Array]) -> Stepping | None:
     """Step statistics of pieces of consecutive times (s); None when no time ever advances."""
     steps = np.concatenate([np.diff(t) for t in pieces]) if pieces else np.empty(0)
     steps = steps[np.isfinite(steps) & (steps > 0)]
@@ -180,7 +197,7 @@ def stamps_of(
     first = next((s[0].item() for s in looks if s.size), None)
     if first is None:
         raise UnreadableInput("the time column holds no stamps", where=where, remedy=remedy)
-    steps = stepping([seconds_of(s, first, "s") for s in looks])
+    steps = measure_steps([seconds_of(s, first, "s") for s in looks])
     if steps is None:
         back = any((np.diff(s.astype(np.float64)) < 0.0).any() for s in looks)
         what = "run backwards" if back else "never advance"
@@ -239,25 +256,6 @@ def date_of(stamp: float | int, unit: str, epoch: int | None = None) -> int | No
     if epoch is not None:
         return ns + epoch if abs(ns + epoch) < 2**63 else None
     return ns if is_absolute(ns * 1e-9) else None
-
-
-_SINCE = re.compile(r"\s*([A-Za-zµμ]+)\s+since\s+(.+?)\s*$")
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-#: Spellings of the units of time.
-_ALIASES = by_word(
-    {
-        "s": "sec secs second seconds",
-        "ms": "msec msecs millis millisecond milliseconds millisec",
-        "us": "µs μs usec usecs micros microsecond microseconds microsec",
-        "min": "mins minute minutes",
-        "ns": "nsec nsecs nanos nanosecond nanoseconds nanosec",
-        "h": "hr hrs hour hours",
-        "d": "day days",
-        "excel": "serial",
-        "datenum": "matlab",
-        "julian": "jd",
-    }
-)
 
 
 def clock_unit(text: str, where: str) -> tuple[str, int | None]:

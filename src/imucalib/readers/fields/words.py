@@ -328,7 +328,8 @@ def _meaning(index: int, name: Name) -> Meaning:
     parts = name[:-1] if axis else name
     for k in range(len(parts) - 1, -1, -1):
         found, words = _of_part(index, parts[k] + axis), set(_words(parts[k]))
-        known = bool(_OTHER & words) or (words == {"angular"} and _forces(parts[:k]))
+        forces = any(_of_part(0, part).quantity == "acceleration" for part in parts[:k])
+        known = bool(_OTHER & words) or (words == {"angular"} and forces)
         if known or (found.quantity == "time" and k < len(parts) - 1):
             break  # the angular acceleration of geometry_msgs/Accel, a clock's folder
         if found.quantity == "time":
@@ -339,10 +340,6 @@ def _meaning(index: int, name: Name) -> Meaning:
             return replace(found, triad=own if found.triad else above)
     last = _of_part(index, name[-1])
     return Meaning(index, last.name, triad=_sensor_of(name[:-1]), unit=last.unit)
-
-
-def _forces(parts: Sequence[str]) -> bool:
-    return any(_of_part(0, part).quantity == "acceleration" for part in parts)
 
 
 def _sensor_of(parts: Sequence[str]) -> str:

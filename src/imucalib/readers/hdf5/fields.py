@@ -16,11 +16,19 @@ from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.fields.choice import OPTIONS, Field, Vector, choose, join_units
+from imucalib.readers.fields.conversion import AS_STORED, Conversion
 from imucalib.readers.fields.words import instant_rank, understand
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import canonical
 
 RATE_NAMES = ("sampling_rate", "sample_rate", "SampleRate", "rate", "fs")
+#: Attributes that name the columns of a dataset.
+_LABELS = ("columns", "axes", "axis", "labels", "components", "channels")
+_MOST = 4096  # datasets with rows: each costs half a millisecond before it is read
+_MOST_OBJECTS = 4 * _MOST  # with groups and datasets without rows: each costs 0.15 ms
+_DEEPEST = 32  # groups within groups
+_LARGE_CHUNK, _CHUNK_RATIO = 64 << 20, 100  # bytes of a chunk; times what all of them store
+_LARGEST_RATIO = 2000  # logical over stored bytes; deflate cannot do more than about 1032
 
 
 def text_of(value: Any) -> str:
@@ -136,10 +144,6 @@ def place_of(
     return replace(place, order=_order_of(node, transposed)) if len(node.shape) > 1 else place
 
 
-#: Attributes that name the columns of a dataset.
-_LABELS = ("columns", "axes", "axis", "labels", "components", "channels")
-
-
 def labels_of(node: Any, dimension: int) -> list[str]:
     """The names of the positions along a dimension: of a scale that is attached to it (netCDF's
     coordinate), or of an attribute with as many texts; none where there are none."""
@@ -172,13 +176,17 @@ def _order_of(node: Any, transposed: bool) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class FieldChannel:
-    """One channel of the file.
+    """One channel of the file; what is below `numbered` is found by `reader` from looks at it.
 
     parts : one place of (N, 3), or three of (N,); a temperature has one
-    time : place of the stamps, or None; rate : of the attributes, when there are no stamps
     unit : of all axes, or one an axis: "m/s2,m/s2,g"
+    time : place of the stamps, or None
+    rate : Hz; None where no attribute states it and the stamps have not been looked at
     numbered : whether `triad` is only a number, since nothing in the file names it
     epoch : ns since 1970 from which the stamps count, where their unit states it
+    origin : first stamp of its clock, in `time_unit`
+    shift : s from the recording's start to that stamp
+    threshold : a longer step is a gap, s
     """
 
     quantity: str
@@ -190,8 +198,17 @@ class FieldChannel:
     time_unit: str = ""
     rate: float | None = None
     preset: str = ""
-    epoch: int | None = None
     numbered: bool = False
+    epoch: int | None = None
+    origin: float | int = 0
+    shift: float = 0.0
+    threshold: float = 0.0
+    conversion: Conversion = AS_STORED
+
+    @property
+    def name(self) -> str:
+        """Of the channel."""
+        return f"{self.triad}/{self.quantity}"
 
     @property
     def address(self) -> str:
@@ -289,13 +306,6 @@ def _stamps(node: Any) -> FieldPlace:
     return place_of(node, transposed=len(node.shape) == 2 and node.shape[0] == 1 < node.shape[1])
 
 
-_MOST = 4096  # datasets with rows: each costs half a millisecond before it is read
-_MOST_OBJECTS = 4 * _MOST  # with groups and datasets without rows: each costs 0.15 ms
-_DEEPEST = 32  # groups within groups
-_LARGE_CHUNK, _CHUNK_RATIO = 64 << 20, 100
-_LARGEST_RATIO = 2000  # logical over stored bytes; deflate cannot do more than about 1032
-
-
 def datasets(file: Any, where: str) -> Iterator[Any]:
     """Every numeric or compound dataset with rows, in the file's order."""
     found: list[Any] = []
@@ -368,9 +378,7 @@ def fields_of(file: Any, held: Iterable[Any], mapping: FieldMapping) -> list[Fie
             for k in vector.parts
             for n, c, number in [each[k]]
         ]
-        one = replace(
-            find_channel(vector, places, fields[vector.parts[0]].rows), numbered=vector.numbered
-        )
+        one = find_channel(vector, places, fields[vector.parts[0]].rows)
         found.append(_add_clock(_add_device(one, file), nodes, file, mapping))
     return found
 

@@ -23,13 +23,16 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags
 from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers.hdf5.fields import FieldPlace, fills_of, valid_of
+from imucalib.readers.fields.timebase import seconds_of
+from imucalib.readers.hdf5.fields import FieldChannel, FieldPlace, fills_of, valid_of
 
 _MARK, _SIZE = b"GCOL\x01\0\0\0", struct.Struct("<Q")
 _OBJECT = struct.Struct("<HHIQ")  # number (0: free space), uses, nothing, size
 #: Bytes searched at each end of a file: where writers put what they write before and after data.
 _SPAN, _PIECE = 32 << 20, 4 << 20  # and how many are held at a time
 _LARGEST = 1 << 20  # of a heap; the library makes them of 4 KiB, or as large as one text needs
+_DEEPEST = 8  # virtual datasets of virtual datasets
+_RANGES = 3  # of absent rows that are named
 
 
 def _demand_heaps_end(path: Path) -> None:
@@ -68,7 +71,6 @@ def _ends(data: bytes, start: int) -> bool:
 
 
 Spans = NDArray[np.int64]  #: (k, 2) first row and end of each stretch that is held, in order
-_DEEPEST = 8  # virtual datasets of virtual datasets
 _NONE: Spans = np.empty((0, 2), dtype=np.int64)
 
 
@@ -200,15 +202,12 @@ def _is_own(name: str, path: Path) -> bool:
     return name == "." or (path.parent / name).resolve() == path.resolve()
 
 
-_RANGES = 3  # of absent rows that are named
-
-
 @dataclass
 class File:
     """An open file, and what of it could not be read.
 
-    external : whether its data may lie in other files; times : of the rows that were read last,
-    with what they are, for the next channel of their clock
+    external : whether its data may lie in other files; clock : times of the rows that were read
+    last, with what they are, for the next channel that has them
     """
 
     handle: Any
@@ -221,7 +220,30 @@ class File:
         default_factory=dict
     )
     held: dict[tuple[str, int], Spans] = field(default_factory=dict)
-    times: tuple[tuple[Any, ...], Array] | None = None
+    clock: tuple[tuple[Any, ...], Array] | None = None
+
+    def times(self, one: FieldChannel, start: int, stop: int) -> Array:
+        """Seconds since the start of rows of a channel; NaN where a damaged chunk hides them."""
+        if one.time is None:
+            return np.arange(start, stop, dtype=np.float64) / (one.rate or 1.0)
+        key = one.time, start, stop, one.origin, one.time_unit, one.shift
+        if self.clock is None or self.clock[0] != key:  # channels of one clock
+            found, held = self.stored(one.time, start, stop)
+            t = seconds_of(one.time.unpacked(found).reshape(-1), one.origin, one.time_unit)
+            t = t + one.shift if one.shift else t
+            if held is not None:
+                t[~held] = np.nan
+            self.clock = key, t
+        return self.clock[1]
+
+    def values(self, one: FieldChannel, start: int, stop: int) -> NDArray[np.generic]:
+        """Rows (n, 3) of a channel, or (n, 1) of a temperature, in the stated unit and the type of
+        the file, as far as no factor has to be applied."""
+        parts = [self.rows(p, start, stop) for p in one.parts]
+        if len(parts) == 1:
+            order, whole = one.parts[0].order, parts[0].reshape(stop - start, -1)
+            return whole if order == (0, 1, 2) else whole[:, order]
+        return np.stack([p.reshape(-1) for p in parts], axis=1)
 
     def rows(self, place: FieldPlace, start: int, stop: int) -> NDArray[np.generic]:
         """Rows of one place in its unit; those that are damaged or not in the file become NaN."""
@@ -331,7 +353,7 @@ def _slice(node: Any, place: FieldPlace, start: int, stop: int) -> NDArray[np.ge
 
 
 @contextmanager
-def opened(path: Path, strict: bool, external: bool = False) -> Iterator[File]:
+def open_file(path: Path, strict: bool, external: bool = False) -> Iterator[File]:
     import h5py
 
     _demand_heaps_end(path)

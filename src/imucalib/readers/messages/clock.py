@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput
-from imucalib.readers.fields.timebase import SIDES, set_back, stepping
+from imucalib.readers.fields.timebase import SIDES, measure_steps, set_back
 from imucalib.readers.messages.topics import ClockFacts, Stamps, TopicSamples, TopicSource
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 from imucalib.recording.recording import Gap
@@ -32,21 +32,22 @@ class TopicClock:
     """How the times of one topic are found.
 
     source : "stamp", "log_time" or "rate"
-    factor : ns in one unit of the stamp
-    late : ns by which a sample may come after a later one
-    period, longest : ns; the sampling period and the longest step that is no gap
+    period : ns
     first : ns, the earliest time
     notes : what was decided and counted
+    factor : ns in one unit of the stamp
+    late : ns by which a sample may come after a later one
+    longest : ns, the longest step that is no gap
     batched : whether most samples share their stamp with the one before, and are spread
     """
 
     source: str
-    factor: int
-    late: int
     period: float
-    longest: float
     first: int
     notes: tuple[str, ...]
+    factor: int = 1
+    late: int = 0
+    longest: float = np.inf
     batched: bool = False
 
     @property
@@ -98,7 +99,8 @@ def choose_clock(
     """
     log, stamps = source.log, source.stamps
     if mapping.rate:
-        return _by_rate(mapping.rate, int(log.first))
+        said = f"{mapping.rate:g} Hz as stated"
+        return TopicClock("rate", 1e9 / mapping.rate, int(log.first), (said,))
     factor, why = 1, ""
     if source.instant and source.instant.width == 1:
         factor, why = _unit(stamps, log, mapping.time_unit)
@@ -122,7 +124,7 @@ def choose_clock(
             remedy="give the sampling rate with --rate",
         )
     steps = np.diff(times)
-    found = stepping([(times - times[0]) * 1e-9])
+    found = measure_steps([(times - times[0]) * 1e-9])
     period = found.step * 1e9 if found else 0.0
     if facts.count > 1:
         jitter = np.quantile(np.abs(steps - period), 0.99) * 1e-3
@@ -145,19 +147,6 @@ def choose_clock(
         first=int(_to_ns(np.array([facts.low]), factor)[0]),
         notes=tuple(notes),
         batched=batched,
-    )
-
-
-def _by_rate(rate: float, first: int) -> TopicClock:
-    """The clock of a stated rate (Hz), from the first log_time (ns)."""
-    return TopicClock(
-        source="rate",
-        factor=1,
-        late=0,
-        period=1e9 / rate,
-        longest=np.inf,
-        first=first,
-        notes=(f"{rate:g} Hz as stated",),
     )
 
 

@@ -28,6 +28,11 @@ from imucalib.readers.messages.records import MessageBlock, RecordRows, Topic
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MOST_INFLATED = 1 << 26  # bytes of one message: no sensor reading is larger
 _MOST_LAYOUTS = 16  # that are find_memory for each definition
+#: In a path, what stands for each element of a list of objects.
+EACH = "[]"
+_UNREADABLE = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError)
+_DEEPEST, _MOST_FIELDS = 12, 1000
+_DEEPEST_UNSET = 4  # of a protobuf's fields that the message does not have
 
 
 class Decoded(NamedTuple):
@@ -40,10 +45,6 @@ class Decoded(NamedTuple):
     good: NDArray[np.bool_]
     problem: str = ""
     rows: NDArray[np.int64] | None = None
-
-
-#: In a path, what stands for each element of a list of objects.
-EACH = "[]"
 
 
 class Look(NamedTuple):
@@ -252,9 +253,6 @@ def _unpack(block: MessageBlock) -> MessageBlock:
     return MessageBlock(b"".join(pieces), np.cumsum(lengths) - lengths, lengths)
 
 
-_UNREADABLE = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError)
-_DEEPEST, _MOST_FIELDS = 12, 1000
-_DEEPEST_UNSET = 4  # of a protobuf's fields that the message does not have
 #: Payloads to trees, None for one that cannot be parsed.
 Parse = Callable[[Sequence[bytes]], list[Any]]
 

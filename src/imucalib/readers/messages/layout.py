@@ -83,6 +83,20 @@ geometry_msgs/Vector3 after
 float64 residual_before
 float64 residual_after
 {_VECTOR}{_HEADER_ROS2}"""
+_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(?:<=)?(\d*)\])?\s+(\w+)\s*(=?)")
+_BOUND = "[<="  # begins a sequence of at most so many
+#: Structures in a message, and how deep: beyond it a message is no sensor reading. Also what ends
+#: a type that contains itself.
+_MAX_ELEMENTS, _DEEPEST = 4096, 32
+#: encapsulation identifier -> (byte order, largest alignment)
+_ENCAPSULATIONS = {
+    0x00: (">", 8),
+    0x01: ("<", 8),
+    0x06: (">", 4),
+    0x07: ("<", 4),
+    0x10: (">", 4),
+    0x11: ("<", 4),
+}
 
 
 class LayoutError(ValueError):
@@ -105,10 +119,6 @@ class Definition:
     root: str
     types: dict[str, list[DefinedField]]
     ros1: bool
-
-
-_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(?:<=)?(\d*)\])?\s+(\w+)\s*(=?)")
-_BOUND = "[<="  # begins a sequence of at most so many
 
 
 def parse_definition(name: str, text: str, ros1: bool) -> Definition:
@@ -156,11 +166,6 @@ def definition_of(name: str, encoding: str, text: str) -> Definition:
     raise LayoutError(f"its schema is '{encoding}', and {name} is not known without ros2msg text")
 
 
-#: Structures in a message, and how deep: beyond it a message is no sensor reading. Also what ends
-#: a type that contains itself.
-_MAX_ELEMENTS, _DEEPEST = 4096, 32
-
-
 class FieldGroup(NamedTuple):
     """Field paths that are read together (the axes of a vector), and their numbers in all."""
 
@@ -169,17 +174,6 @@ class FieldGroup(NamedTuple):
 
 
 Groups = tuple[FieldGroup, ...]
-
-
-#: encapsulation identifier -> (byte order, largest alignment)
-_ENCAPSULATIONS = {
-    0x00: (">", 8),
-    0x01: ("<", 8),
-    0x06: (">", 4),
-    0x07: ("<", 4),
-    0x10: (">", 4),
-    0x11: ("<", 4),
-}
 
 
 class MessageLayout:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,19 +30,26 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
 _HOUR = 3_600_000_000_000  # ns
-_FEWEST_ROWS = 1 << 12  # that an array has room for
 
 
 @dataclass(frozen=True)
 class ChannelPlan:
-    """One channel to be: its name, where its values come from, how they become SI; channel : all
+    """One channel to be: which column of its topic it is, how its values become SI; channel : all
     but its samples."""
 
-    name: str
-    topic: str
     column: int
     conversion: Conversion
     channel: Channel
+
+    @property
+    def name(self) -> str:
+        """Of the channel."""
+        return f"{self.channel.triad}/{self.channel.quantity}"
+
+    @property
+    def topic(self) -> str:
+        """That it comes from."""
+        return self.channel.topic
 
 
 @dataclass(frozen=True)
@@ -68,11 +74,10 @@ class FirstPass:
     """One whole pass: what was decided, and with `keep` every sample."""
 
     def __init__(self, log: MessageLog, mapping: FieldMapping, *, keep: bool) -> None:
-        with _readable(log):
-            self._survey(log, mapping, frozenset(), keep=keep)
-            if apart := self.stream.overlapping():
-                self._survey(log, mapping, apart, keep=keep)
-            self.plan = _decide(self.stream)
+        self._survey(log, mapping, frozenset(), keep=keep)
+        if apart := self.stream.overlapping():
+            self._survey(log, mapping, apart, keep=keep)
+        self.plan = _decide(self.stream)
         for source in self.stream.sources.values():
             source.pieces.clear()
 
@@ -80,62 +85,24 @@ class FirstPass:
         self, log: MessageLog, mapping: FieldMapping, apart: frozenset[int], *, keep: bool
     ) -> None:
         self.stream = TopicStream(log, mapping, apart)
-        self._kept: dict[str, list[_Growing]] = {}  # log times, columns, stamps
+        self._kept: dict[str, list[list[NDArray[Any]]]] = {}  # log times, columns, stamps
         for samples in self.stream.samples():
             samples.source.survey(samples)
             if keep:
-                self._keep(samples)
-
-    def _keep(self, samples: TopicSamples) -> None:
-        name, parts = samples.source.name, [samples.log, *samples.columns]
-        parts += [] if samples.stamps is None else [samples.stamps]
-        if name not in self._kept:
-            self._kept[name] = [_Growing(p, self.stream.expected(name)) for p in parts]
-        for kept, part in zip(self._kept[name], parts, strict=True):
-            kept.append(part)
+                parts = [samples.log, *samples.columns]
+                parts += [] if samples.stamps is None else [samples.stamps]
+                kept = self._kept.setdefault(samples.source.name, [[] for _ in parts])
+                for pieces, part in zip(kept, parts, strict=True):
+                    pieces.append(part)
 
     def samples(self, topic: str) -> TopicSamples:
-        """All samples of a topic, handed over."""
-        source = self.stream.sources[topic]
-        log, *columns = (kept.whole() for kept in self._kept.pop(topic))
+        """All samples of a topic, handed over; memory holds one column twice."""
+        source, whole = self.stream.sources[topic], list[NDArray[Any]]()
+        for pieces in self._kept.pop(topic):
+            whole.append(np.concatenate(pieces))
+            pieces.clear()
+        log, *columns = whole
         return TopicSamples(source, columns.pop() if source.instant else None, log, columns)
-
-
-class _Growing:
-    """Rows that become one array: memory is moved by the system rather than copied."""
-
-    def __init__(self, like: NDArray[Any], expected: int) -> None:
-        rows = max(expected, _FEWEST_ROWS)
-        self._rows = np.empty((rows, *like.shape[1:]), dtype=like.dtype)
-        self._size = 0
-
-    def append(self, rows: NDArray[Any]) -> None:
-        """Copy rows to the end."""
-        size = self._size + len(rows)
-        if size > len(self._rows):
-            most = max(size, len(self._rows) * 5 // 4)
-            self._rows.resize((most, *rows.shape[1:]), refcheck=False)
-        self._rows[self._size : size] = rows
-        self._size = size
-
-    def whole(self) -> NDArray[Any]:
-        """All rows, handed over."""
-        self._rows.resize((self._size, *self._rows.shape[1:]), refcheck=False)
-        return self._rows
-
-
-@contextmanager
-def _readable(log: MessageLog) -> Iterator[None]:
-    """Raises UnreadableInput where the operating system cannot read the log."""
-    try:
-        yield
-    except OSError as error:
-        detail = error.strerror or str(error) or type(error).__name__
-        raise UnreadableInput(
-            f"the file cannot be read: {detail}",
-            where=str(log.path),
-            remedy="check the disk or share",
-        ) from error
 
 
 def read_log(log: MessageLog, mapping: FieldMapping) -> Recording:
@@ -152,10 +119,8 @@ def log_blocks(
 ) -> Iterator[Recording]:
     """Read the log twice: what holds for all of it first, then the samples in blocks."""
     first = FirstPass(log, mapping, keep=False)
-    with _readable(log):
-        apart = first.stream.apart
-        stream = TopicStream(log, mapping, apart, gather=min(block_samples, GATHER))
-        yield from _recordings(first.plan, stream.samples(), block_samples=block_samples)
+    stream = TopicStream(log, mapping, first.stream.apart, gather=min(block_samples, GATHER))
+    yield from _recordings(first.plan, stream.samples(), block_samples=block_samples)
 
 
 def _recordings(
@@ -218,14 +183,13 @@ def _decide(stream: TopicStream) -> MessagePlan:
         raise _no_imu(stream)
     used = list(dict.fromkeys(topic for triad in triads for topic, _ in triad.parts.values()))
     clocks = _clocks([sources[name] for name in used], mapping, str(log.path))
-    parts = []
-    for triad in triads:
-        for quantity, (topic, column) in triad.parts.items():
-            where = f"{log.path}, topic {topic}"
-            how = _conversion(
-                quantity, sources[topic], column, clocks[topic].period, mapping, where
-            )
-            parts.append(_part(triad, quantity, sources[topic], column, clocks[topic], how))
+    parts = [
+        _plan_channel(
+            triad, quantity, sources[name], clocks[name], mapping, f"{log.path}, topic {name}"
+        )
+        for triad in triads
+        for quantity, (name, _) in triad.parts.items()
+    ]
     notes = _clock_notes(triads, sources, clocks)
     notes += [f"{p.channel.triad}: {p.conversion.note}" for p in parts if p.conversion.note]
     marks = tuple(dict.fromkeys(log.corrections))
@@ -236,7 +200,7 @@ def _decide(stream: TopicStream) -> MessagePlan:
         format=log.format,
         sha256=log.sha256(),
         start_ns=start if dated else None,
-        notes=(*notes, *stream.losses(), *map(str, marks), *stream.unread()),
+        notes=(*notes, *stream.losses(), *map(str, marks), *stream.describe_unread()),
         mapping=_resolve(mapping, triads, sources, parts).to_dict(),
         corrections=marks,
         counts=tuple(c for c in stream.tallies() if c.source.removeprefix("messages of ") in used),
@@ -286,50 +250,32 @@ def _clocks(sources: list[TopicSource], mapping: FieldMapping, where: str) -> di
     return clocks(f"the stamps of its topics count from epochs {apart * 1e-9:.6g} s apart")
 
 
-def _conversion(
-    quantity: str,
-    source: TopicSource,
-    column: int,
-    period: float,
-    mapping: FieldMapping,
-    where: str,
-) -> Conversion:
-    """How the values of a field become SI, from what is stated and from the values."""
-    stated, pieces = source.fields[column].unit, source.rest_pieces(column)
-    if quantity == "temperature":
-        return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
-    window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
-    return conversion.of_vectors(
-        quantity,
-        mapping,
-        conversion.UnitSource(stated),
-        pieces,
-        window=window,
-        where=where,
-    )
-
-
-def _part(
+def _plan_channel(
     triad: TopicTriad,
     quantity: str,
     source: TopicSource,
-    column: int,
     clock: TopicClock,
-    how: Conversion,
+    mapping: FieldMapping,
+    where: str,
 ) -> ChannelPlan:
-    """The channel of one quantity of a triad."""
+    """One quantity of a triad: how its values become SI, from what is stated and from the values,
+    and the channel that they make."""
+    _, column = triad.parts[quantity]
+    rate = 1e9 / clock.period if clock.period else 0.0
+    stated, looks = conversion.UnitSource(source.fields[column].unit), source.rest_pieces(column)
+    how = conversion.find_conversion(quantity, mapping, stated, looks, rate=rate, where=where)
     channel = Channel(
         t=np.empty(0),
         values=np.empty((0, source.fields[column].group.width)),
         quantity=quantity,
         triad=triad.name,
-        rate=1e9 / clock.period if clock.period else 0.0,
+        rate=rate,
         names=(source.name, source.frame) if source.frame else (source.name,),
         numbered=triad.numbered,
         topic=source.name,
         **how.units,
     )
-    return ChannelPlan(f"{triad.name}/{channel.quantity}", source.name, column, how, channel)
+    return ChannelPlan(column, how, channel)
 
 
 def _clock_notes(

@@ -18,6 +18,15 @@ from imucalib.recording.recording import AppliedCalibration
 
 #: What comes before a message's payload in its record, the record's own nine bytes counted.
 MESSAGE_HEAD = 31
+#: Fields of a message's record.
+HEAD_FIELDS: list[tuple[str, Any, int]] = [
+    ("opcode", "u1", 0),
+    ("length", "<u8", 1),
+    ("channel", "<u2", 9),
+    ("sequence", "<u4", 11),
+    ("log_time", "<u8", 15),
+    ("publish_time", "<u8", 23),
+]
 
 
 def record_type(fields: list[tuple[str, Any, int]], size: int) -> np.dtype[np.void]:
@@ -31,31 +40,18 @@ def record_type(fields: list[tuple[str, Any, int]], size: int) -> np.dtype[np.vo
     return np.dtype(columns)  # type: ignore[call-overload, no-any-return]
 
 
-#: Fields of a message's record.
-HEAD_FIELDS: list[tuple[str, Any, int]] = [
-    ("opcode", "u1", 0),
-    ("length", "<u8", 1),
-    ("channel", "<u2", 9),
-    ("sequence", "<u4", 11),
-    ("log_time", "<u8", 15),
-    ("publish_time", "<u8", 23),
-]
 _HEAD = record_type(HEAD_FIELDS, MESSAGE_HEAD)
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A channel of a log: its number and topic, how its messages are encoded, and their schema.
-
-    count : messages that the log's own index counts, 0 when unknown
-    """
+    """A channel of a log: its number and topic, how its messages are encoded, and their schema."""
 
     id: int
     name: str
     encoding: str
     schema: Schema | None
     metadata: Mapping[str, str] = field(default_factory=dict)
-    count: int = 0
 
     @property
     def type_name(self) -> str:

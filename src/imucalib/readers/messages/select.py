@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array
 from imucalib.errors import UsageError
 from imucalib.readers.fields.choice import OPTIONS, Field, Vector, find_vectors, join_units
 from imucalib.readers.fields.contents import Content, norm_of
@@ -39,6 +38,7 @@ META_ORIGIN, META_DATED = "imucal.origin_ns", "imucal.dated"
 META_UNITS = {"acceleration": "imucal.acc_unit", "angular_rate": "imucal.gyro_unit"}
 
 Leaves = Mapping[str, int]  # path -> how many numbers
+_SAMPLED = 2000  # messages of a topic that give its norms, of the first block that has any
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,7 @@ def _time(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> tuple[str, Fie
 # -- triads -----------------------------------------------------------------------------------
 
 
-def natural(text: str) -> tuple[tuple[bool, int, str], ...]:
+def natural_key(text: str) -> tuple[tuple[bool, int, str], ...]:
     """Sort key under which imu2 comes before imu10."""
     parts = re.split(r"(\d+)", text)
     return tuple((p.isdigit(), int(p) if p.isdigit() else 0, p) for p in parts)
@@ -335,7 +335,7 @@ def _stated_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> 
                 used.add(place)
                 part[quantity] = place
             elif text:
-                names = ", ".join(sorted(sources, key=natural)) or "none"
+                names = ", ".join(sorted(sources, key=natural_key)) or "none"
                 raise UsageError(
                     f"'{text}' is not a topic of this file, or has no readable messages",
                     where=f"mapping: {option}",
@@ -352,7 +352,7 @@ def _stated_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> 
 def _find_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> list[_Parts]:
     parts: list[_Parts] = []
     halves: dict[str, list[_Parts]] = {}
-    for name in sorted(sources, key=natural):
+    for name in sorted(sources, key=natural_key):
         source = sources[name]
         live = [(i, f) for i, f in enumerate(source.fields) if source.alive[i] or not f.found]
         sensors = [
@@ -376,58 +376,50 @@ def _find_parts(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> li
 
 # -- what a log holds -------------------------------------------------------------------------
 
-_SAMPLED = 2000  # messages of a topic that give its norms, a stretch of each block
-_STRETCH = 50
+
+def contents_of(log: MessageLog, topics: Mapping[int, Topic]) -> tuple[Content, ...]:
+    """Every topic of a log, by its channel, in natural order, and below it its vectors; after one
+    pass over it."""
+    times = dict[int, tuple[int, float, float]]()  # messages, first and last log time
+    held = dict[int, list[Content]]()
+    why = dict.fromkeys(topics, "")
+    for block in log.blocks():
+        channels, log_time = block.header("channel"), block.header("log_time")
+        for number in np.flatnonzero(np.bincount(channels)).tolist():
+            if number not in topics:
+                continue
+            rows = np.flatnonzero(channels == number)
+            low, high = int(log_time[rows].min()), int(log_time[rows].max())
+            count, first, last = times.get(number, (0, math.inf, -math.inf))
+            times[number] = count + rows.size, min(first, low), max(last, high)
+            if number not in held:
+                held[number] = []
+                try:
+                    held[number] = _held(topics[number], block.take(rows[:_SAMPLED]))
+                except (LayoutError, UsageError) as error:  # the latter: a package is missing
+                    why[number] = str(error)
+    found = list[Content]()
+    for number, topic in sorted(topics.items(), key=lambda item: natural_key(item[1].name)):
+        count, first, last = times.get(number, (0, math.inf, -math.inf))
+        rate = (count - 1) * 1e9 / (last - first) if count > 1 and last > first else math.nan
+        kind = f"{topic.type_name} ({topic.encoding or 'no encoding'})"
+        found.append(Content(topic.name, kind, count, rate, why=why[number]))
+        found += held.get(number, [])
+    return tuple(found)
 
 
-@dataclass
-class _Seen:
-    """What a topic was seen to hold; vectors : by their addresses, values : of these."""
-
-    topic: Topic
-    count: int = 0
-    first: float = math.inf
-    last: float = -math.inf
-    sampled: int = 0
-    why: str = ""
-    decoder: Decoder | None = None
-    vectors: dict[str, FieldGroup] = field(default_factory=dict)
-    values: dict[str, list[Array]] = field(default_factory=dict)
-
-    def add(self, block: MessageBlock) -> None:
-        """Consecutive messages of this topic."""
-        times = block.header("log_time")
-        self.first = min(self.first, int(times.min()))
-        self.last = max(self.last, int(times.max()))
-        self.count += times.size
-        if self.sampled >= _SAMPLED or self.why:
-            return
-        part = block.take(np.arange(min(_STRETCH, times.size)))
-        self.sampled += part.starts.size
-        try:
-            if self.decoder is None:
-                self.decoder = decoder_for(self.topic)
-                self.vectors = _vectors_of(self.decoder.look(part.payload(0)).leaves)
-            if not self.vectors:
-                return
-            decoded = self.decoder.decode(part, tuple(self.vectors.values()))
-        except (LayoutError, UsageError) as error:  # the latter: a package is missing
-            self.why = str(error)
-            return
-        for address, column in zip(self.vectors, decoded.columns, strict=True):
-            values = column[decoded.good].astype(np.float64)
-            self.values.setdefault(address, []).append(values)
-
-    def contents(self) -> list[Content]:
-        """The topic, and below it its vectors."""
-        name, span = self.topic.name, (self.last - self.first) * 1e-9
-        rate = (self.count - 1) / span if self.count > 1 and span > 0 else math.nan
-        kind = f"{self.topic.type_name} ({self.topic.encoding or 'no encoding'})"
-        own = [Content(name, kind, self.count, rate, why=self.why)]
-        for address, pieces in self.values.items():
-            norm = norm_of(np.concatenate(pieces))
-            own.append(Content(f"{name}:{address}", "3 numbers", 0, norm=norm))
-        return own
+def _held(topic: Topic, block: MessageBlock) -> list[Content]:
+    """The vectors of a topic with their median norms in some messages."""
+    decoder = decoder_for(topic)
+    vectors = _vectors_of(decoder.look(block.payload(0)).leaves)
+    if not vectors:
+        return []
+    columns, good, *_ = decoder.decode(block, tuple(vectors.values()))
+    norms = [norm_of(column[good].astype(np.float64)) for column in columns]
+    return [
+        Content(f"{topic.name}:{address}", "3 numbers", 0, norm=norm)
+        for address, norm in zip(vectors, norms, strict=True)
+    ]
 
 
 def _vectors_of(leaves: Leaves) -> dict[str, FieldGroup]:
@@ -455,15 +447,3 @@ def list_left(
     texts = {path for path in look.texts if path not in used}
     rest = [p for p in look.leaves if p not in used | texts and not p.startswith("header.")]
     return [*found, *(Content(path, f"{look.leaves[path]} numbers", 0) for path in rest)]
-
-
-def contents_of(log: MessageLog, topics: Mapping[int, Topic]) -> tuple[Content, ...]:
-    """Every topic of a log, by its channel, in natural order, after one pass over it."""
-    seen = {number: _Seen(topic) for number, topic in topics.items()}
-    for block in log.blocks():
-        channels = block.header("channel")
-        for number in np.flatnonzero(np.bincount(channels)).tolist():
-            if number in seen:
-                seen[number].add(block.take(channels == number))
-    ordered = sorted(seen.values(), key=lambda s: natural(s.topic.name))
-    return tuple(content for one in ordered for content in one.contents())

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.fields.contents import Content, unread
+from imucalib.readers.fields.contents import Content, describe_unread
 from imucalib.readers.messages.decode import Decoder, decoder_for
 from imucalib.readers.messages.layout import Groups, LayoutError
 from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
@@ -20,7 +20,7 @@ from imucalib.readers.messages.select import (
     is_imu,
     is_stated,
     list_left,
-    natural,
+    natural_key,
     source_of,
     split_address,
 )
@@ -30,6 +30,7 @@ from imucalib.recording.recording import Count
 
 #: Rows that are decoded before they are divided among their topics.
 GATHER = 1 << 16
+_UNDECIDED, _SKIPPED = -1, -2
 
 
 class _Rows(NamedTuple):
@@ -50,9 +51,6 @@ class _Lane:
     timed: bool
     waiting: list[_Rows] = field(default_factory=list)
     rows: int = 0
-
-
-_UNDECIDED, _SKIPPED = -1, -2
 
 
 class TopicStream:
@@ -110,13 +108,6 @@ class TopicStream:
                     found.add(one)
         return frozenset(found)
 
-    def expected(self, name: str) -> int:
-        """How many messages of a topic the index counts, at most what the file can hold."""
-        total = sum(
-            t.count for n, t in self.topics.items() if t.name == name and n in self._indexed
-        )
-        return min(total, 100 * self.log.path.stat().st_size)
-
     def samples(self) -> Iterator[TopicSamples]:
         """All wanted samples, divided by topic, some chunks at a time."""
         damages = 0
@@ -167,17 +158,17 @@ class TopicStream:
             found.append(Count(f"messages of {name}", held, source.rows, left))
         return tuple(found)
 
-    def unread(self) -> tuple[str, ...]:
+    def describe_unread(self) -> tuple[str, ...]:
         """The sentence on topics and fields beside those that are read."""
         left = list[Content]()
-        for number, topic in sorted(self.topics.items(), key=lambda t: natural(t[1].name)):
+        for number, topic in sorted(self.topics.items(), key=lambda t: natural_key(t[1].name)):
             if number in self._source_of:
                 left += self._left.get(number, [])
             elif count := self.counts.get(number, 0):
                 vectors = ", ".join(map(str, self._left.get(number, [])))
                 kind = f"{topic.type_name} ({topic.encoding or 'no encoding'})"
                 left.append(Content(topic.name, f"{kind}{': ' * bool(vectors)}{vectors}", count))
-        return unread(left)
+        return describe_unread(left)
 
     # -- choosing -----------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from imucalib.question import paste
 
 #: Section of the plots of what is left before and after a search.
 RESIDUALS = "Residual before and after"
-Mark = Literal["line", "points", "rings", "bars", "band", "step", "net"]
+Mark = Literal["line", "points", "rings", "band", "net"]
 Tone = Literal["ok", "warning", "bad", "plain"]
 
 
@@ -30,14 +30,14 @@ class Text:
     tone: Tone = "plain"
 
     @classmethod
-    def each(cls, texts: Iterable[str], tone: Tone = "plain") -> tuple[Text, ...]:
+    def paragraphs(cls, texts: Iterable[str], tone: Tone = "plain") -> tuple[Text, ...]:
         """A paragraph each."""
         return tuple(cls(text, tone) for text in texts)
 
     @classmethod
     def sentences(cls, texts: Iterable[str], tone: Tone = "plain") -> tuple[Text, ...]:
         """A paragraph each, with its capital and its full stop."""
-        return cls.each((f"{capital(text)}." for text in texts), tone)
+        return cls.paragraphs((f"{capital(text)}." for text in texts), tone)
 
 
 def capital(text: str) -> str:
@@ -68,7 +68,7 @@ class Table:
     tones: Mapping[int, Tone] = field(default_factory=dict)
 
     @classmethod
-    def of(
+    def from_columns(
         cls,
         columns: Sequence[Column],
         rows: Iterable[Any],
@@ -82,8 +82,13 @@ class Table:
         headings = tuple(heading for heading, _, _ in columns)
         return cls(title, headings, tuple(cells), align, note, tones or {})
 
+    @property
+    def sides(self) -> str:
+        """Where each column stands, "l" or "r"."""
+        return self.align or "l" + "r" * (len(self.header) - 1)
+
     @staticmethod
-    def marked(tone: Tone, which: Iterable[bool]) -> dict[int, Tone]:
+    def mark_rows(tone: Tone, which: Iterable[bool]) -> dict[int, Tone]:
         """One tone for rows, by whether each is marked."""
         return {k: tone for k, one in enumerate(which) if one}
 
@@ -101,7 +106,7 @@ def _cell(row: Any, of: str | Callable[[Any], Any], form: str) -> str:
 
 @dataclass(frozen=True)
 class Series:
-    """One data series: x (n,), y (n,); `low` and `high` (n,) are the edges of a band or of bars."""
+    """One data series: x (n,), y (n,); `low` and `high` (n,): edges of a band or of whiskers."""
 
     label: str
     x: Array
@@ -112,7 +117,7 @@ class Series:
     names: tuple[str, ...] = ()  # one label a point, shown on hover in HTML
 
     @classmethod
-    def about(
+    def from_half(
         cls, label: str, x: Array, y: Array, half: Array, mark: Mark, names: tuple[str, ...] = ()
     ) -> Series:
         """With edges `half` (n,) below and above y."""
@@ -138,12 +143,11 @@ Block = Text | Facts | Table | Plot
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and its blocks. `brief` sections are also printed to the terminal, of a page those
-    that fit, and `kept` ones before all others."""
+    """A heading and its blocks. Of a page on a terminal those that fit are printed, and `kept` ones
+    before all others."""
 
     title: str
     blocks: tuple[Block, ...]
-    brief: bool = True
     kept: bool = False
 
 
@@ -186,7 +190,6 @@ class Card:
     """What a reader takes away: the sensor's worth, what was found, what to do, the command.
 
     uses : what the calibration is good for, until it is known where it was written
-    headline : the verdict without its figures
     picture : the residual before and after what was found, where there is one
     """
 
@@ -195,27 +198,16 @@ class Card:
     to_do: tuple[str, ...]
     command: str = ""
     uses: tuple[Use, ...] = ()
-    headline: str = ""
     picture: Plot | None = None
 
 
 @dataclass(frozen=True)
-class Certificate:
-    """What a calibration states of one instrument, for print: device, date, reference, conditions,
-    method, input and its changes, signatures as facts; results with their expanded uncertainty, and
-    positions as read and as corrected, as tables."""
-
-    facts: Facts
-    results: Table
-    positions: Table
-
-
-@dataclass(frozen=True)
 class Document:
-    """A whole report: headline, one-sentence verdict with its tone, the card, sections that hold
-    anything, provenance.
+    """A whole report: title, verdict with its tone, the card, sections that hold anything,
+    provenance.
 
-    certificate : of a calibration, whose page also says what its words mean
+    certificate : what a calibration states of one instrument, for print alone; such a page also
+        says what its words mean
     drawn : where the figures are, for a terminal
     """
 
@@ -224,7 +216,7 @@ class Document:
     sections: tuple[Section, ...]
     footer: tuple[tuple[str, str], ...] = ()
     card: Card | None = None
-    certificate: Certificate | None = None
+    certificate: Section | None = None
     drawn: str = "report.html"
 
     def __post_init__(self) -> None:
@@ -237,26 +229,24 @@ class Document:
         picture = self.card.picture if self.card else None
         return (*([(RESIDUALS, picture)] if picture else []), *own)
 
-    def placed(self, places: Mapping[str, str]) -> Document:
-        """The same, with the commands that use what was written: first of a result that passes,
-        else after the most useful step. places : see `Use`"""
-        card, drawn = self.card, f"{places['folder']}/{self.drawn}"
+    def place_commands(self, places: Mapping[str, str]) -> Document:
+        """The same, with the commands that use what was written. places : see `Use`"""
+        used = tuple(use.step(places) for use in self.card.uses) if self.card else ()
+        return self._add_steps(used, f"{places['folder']}/{self.drawn}")
+
+    def propose_writing(self, command: str) -> Document:
+        """The same of a run that wrote nothing, with the command that writes it."""
+        keep = (f"{KEEP}: `{command}`",) if self.card and self.card.uses else ()
+        return self._add_steps(keep, "")
+
+    def _add_steps(self, steps: tuple[str, ...], drawn: str) -> Document:
+        """With more steps: first of a result that passes, else after the most useful one."""
+        card, at = self.card, 0 if self.verdict.tone == "ok" else 1
         if card is not None:
-            used = tuple(use.step(places) for use in card.uses)
-            at = 0 if self.verdict.tone == "ok" else 1
-            card = replace(card, to_do=(*card.to_do[:at], *used, *card.to_do[at:]), uses=())
+            card = replace(card, to_do=(*card.to_do[:at], *steps, *card.to_do[at:]), uses=())
         return replace(self, card=card, drawn=drawn)
 
-    def unwritten(self, command: str) -> Document:
-        """The same of a run that wrote nothing, with the command that writes it: placed as those
-        of `placed`."""
-        card, at = self.card, 0 if self.verdict.tone == "ok" else 1
-        if card is not None and card.uses:
-            keep = f"{KEEP}: `{command}`"
-            card = replace(card, to_do=(*card.to_do[:at], keep, *card.to_do[at:]), uses=())
-        return replace(self, card=card, drawn="")
-
-    def calm(self) -> Document:
+    def soften_tones(self) -> Document:
         """The same, without a tick next to a verdict that is none, and without a caution on the
         card of a result that passes: what stays then is within what the user accepts."""
         calm = self.verdict.tone not in ("warning", "bad")

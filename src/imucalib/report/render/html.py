@@ -6,7 +6,7 @@ from collections import Counter
 
 from imucalib.report.render.document import Document, Tone
 from imucalib.report.render.svg import render_svg
-from imucalib.report.render.table import column_pads, square
+from imucalib.report.render.table import column_pads
 from imucalib.report.render.templates import fill
 
 SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "⚠\ufe0e", "bad": "✗", "plain": ""}
@@ -24,11 +24,10 @@ def render_html(document: Document) -> str:
 
     return fill(
         "page.html.j2",
-        document=document.calm(),
+        document=document.soften_tones(),
         number=number,
         signs=SIGNS,
         words=WORDS,
         svg=render_svg,
-        squared=square,
         column_pads=column_pads,
     )

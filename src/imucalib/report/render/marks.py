@@ -18,13 +18,12 @@ CROWDED = 300  # points that are drawn as dots
 
 @dataclass(frozen=True)
 class Shape:
-    """One path, or a bar by its `box` (x, y, width, height); `kind` says how it looks."""
+    """One path; `kind` says how it looks."""
 
     kind: str
-    d: str = ""
+    d: str
     dash: str = ""
     title: str = ""
-    box: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,15 +98,12 @@ def ring(x: float, y: float, radius: float) -> str:
     return f"M{short(x)},{short(y)}{turn} {2 * radius:g},0{turn} -{2 * radius:g},0"
 
 
-def line(placed: Placed, dash: str = "", step: bool = False) -> list[Shape]:
-    """A polyline broken at gaps; a lone point between gaps is a dot; `step` holds each value."""
+def line(placed: Placed, dash: str = "") -> list[Shape]:
+    """A polyline broken at gaps; a lone point between gaps is a dot."""
     x, y = placed.x, placed.y
     pieces = []
     for run in _runs(thin(x, y), ~(np.isfinite(x) & np.isfinite(y))):
-        px, py = x[run], y[run]
-        if step:
-            px, py = np.repeat(px, 2)[1:], np.repeat(py, 2)[:-1]
-        pairs = _pairs(px, py)
+        pairs = _pairs(x[run], y[run])
         pieces.append("M" + "L".join(pairs) if len(run) > 1 else f"M{pairs[0]}h0")
     return _draw("line", pieces, dash)
 
@@ -166,28 +162,12 @@ def rings(placed: Placed) -> list[Shape]:
     return _draw("line", [ring(x - 7, y, 7) for x, y in ends])
 
 
-def bars(placed: Placed, foot: float, width: float) -> list[Shape]:
-    """Bars from `foot`; where they would be thinner than 2 px, stems."""
-    keep = thin(placed.x, placed.y)
-    rows = zip(keep, placed.x[keep], placed.y[keep], strict=True)
-    if width < 2 or keep.size > NAMED:
-        return _draw("stem", [f"M{short(x)},{short(foot)}V{short(y)}" for _, x, y in rows])
-    return [
-        Shape(
-            "bar",
-            title=placed.titles[i] if placed.titles else "",
-            box=(x - width / 2, min(y, foot), width, abs(y - foot)),
-        )
-        for i, x, y in rows
-    ]
-
-
 def _draw(kind: str, pieces: Sequence[str], dash: str = "") -> list[Shape]:
     """All pieces as one path, or nothing."""
     return [Shape(kind, "".join(pieces), dash)] if pieces else []
 
 
-def hover(names: Sequence[str], x: Array, y: Array) -> tuple[str, ...]:
+def hover_titles(names: Sequence[str], x: Array, y: Array) -> tuple[str, ...]:
     """Hover titles "name: x, y"; none for a series too long to be read point by point."""
     if len(y) > NAMED:
         return ()

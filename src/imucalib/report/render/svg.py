@@ -28,13 +28,28 @@ if TYPE_CHECKING:
 LARGEST = 1e300  # beyond it differences overflow: drawn as a gap
 SMALLEST = 1e-290  # below it steps underflow: drawn as zero
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "currentColor")
+FONT = 12.5
+DASHED = 200  # points of a line that may be dashed: a longer one is too ragged for it
+DASHES = ("", "7 3", "2 3", "8 3 2 3", "12 4", "4 2 1 2 1 2")
+WIDTH, HEIGHT = 600, 330
+LEGEND_ROW = 20.0
+SWATCH = 26.0
+#: Colours that mean the same on every page: the reading as it came, before the search, after it.
+_ROLES = {
+    **dict.fromkeys(("raw", "raw reading", "as read"), 0),
+    **dict.fromkeys(("before", "alone"), 1),
+    **dict.fromkeys(("after", "corrected", "with the fleet"), 2),
+}
+#: Colour of the series (None: that of the text), and what is drawn in it.
+Group = tuple[int | None, list[Shape]]
 
 
 @dataclass(frozen=True)
 class Axis:
     """Limits in data units (log10 of them where `log`), tick positions and their labels.
 
-    note : what the labels leave out, "×10⁻³" or "+ 9.81"; empty for plain numbers
+    note : what the labels leave out, such as "×10⁻³"; empty for plain numbers
     """
 
     low: float
@@ -46,17 +61,17 @@ class Axis:
 
     def fraction(self, values: Array) -> Array:
         """Position (n,) along the axis, 0 at the low end and 1 at the high end; NaN for a gap."""
-        shown = drawable(values, self.log)
+        shown = mask(values, self.log)
         with np.errstate(divide="ignore"):
             shown = np.log10(shown) if self.log else shown
         return np.asarray((shown - self.low) / (self.high - self.low), dtype=np.float64)
 
-    def titled(self, label: str) -> str:
+    def full_label(self, label: str) -> str:
         """The axis label with the note of its tick labels."""
         return f"{label} ({self.note})" if label and self.note else label or self.note
 
 
-def drawable(values: Array, log: bool = False) -> Array:
+def mask(values: Array, log: bool = False) -> Array:
     """Values that an axis can show; NaN for the others (NaN, infinite, not positive on a log)."""
     values = np.asarray(values, dtype=np.float64).ravel()
     with np.errstate(invalid="ignore"):
@@ -78,31 +93,11 @@ def linear_axis(low: float, high: float, count: int, whole: bool = False) -> Axi
     whole : of things that are counted: no tick between two numbers, be there one only
     """
     step = max(nice_step(high - low, count), float(whole))
-    offset = _offset(low, high, step)
-    first = math.ceil((low - offset) / step - 1e-9)
-    last = math.floor((high - offset) / step + 1e-9)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     if last <= first and not whole:
         return linear_axis(low, high, 2 * count)
     index = np.arange(first, last + 1, dtype=np.float64)
-    labels, note = _labels(index, step)
-    if offset:
-        note = f"{note} + {offset:.15g}".strip().replace("+ -", "− ")
-    return Axis(low, high, offset + index * step, labels, note)
-
-
-def _offset(low: float, high: float, step: float) -> float:
-    """What to take off long labels that differ in their last digits only; 0 for ordinary data.
-
-    The roundest number between one span below the axis and its high end.
-    """
-    largest = max(abs(low), abs(high))
-    # Below one, zeros behind the point make a label longer.
-    if largest < (1e5 if largest >= 1.0 else 1e4) * step or low <= 0 <= high:
-        return 0.0
-    start, power = low - (high - low), math.ceil(math.log10(largest))
-    while math.ceil(start / 10.0**power) * 10.0**power > high:
-        power -= 1
-    return float(f"{math.ceil(start / 10.0**power)}e{power}")
+    return Axis(low, high, index * step, *_labels(index, step))
 
 
 def _labels(index: Array, step: float) -> tuple[tuple[str, ...], str]:
@@ -146,7 +141,7 @@ def _log_label(exponent: float) -> str:
 
 def limits(parts: Iterable[Array], *, log: bool = False, pad: float = 0.07) -> tuple[float, float]:
     """Low and high of all drawable values, padded; a window around constant data, 0..1 if none."""
-    shown = [drawable(part, log) for part in parts]
+    shown = [mask(part, log) for part in parts]
     values = np.concatenate([part[~np.isnan(part)] for part in shown] or [np.empty(0)])
     if values.size == 0:
         return 0.0, 1.0
@@ -162,18 +157,8 @@ def limits(parts: Iterable[Array], *, log: bool = False, pad: float = 0.07) -> t
 
 def plot_limits(plot: Plot) -> tuple[tuple[float, float], tuple[float, float]]:
     """Limits of x and of y (log10 where logarithmic), before scales are made equal."""
-    slot = bar_slot(plot)
     parts = [part for s in plot.series for part in (s.y, s.low, s.high) if part is not None]
-    standing = slot > 0.0 and not plot.log_y
-    if standing:  # the foot of the bars
-        parts.append(np.zeros(1))
-    x_low, x_high = limits([s.x for s in plot.series], pad=0.04)
-    y_low, y_high = limits(parts, log=plot.log_y)
-    if standing:  # all bars end on one side: they stand on zero, without a margin
-        shown = np.concatenate([drawable(part) for part in parts])
-        y_low = 0.0 if np.nanmin(shown) >= 0 else y_low
-        y_high = 0.0 if np.nanmax(shown) <= 0 and np.nanmin(shown) < 0 else y_high
-    return (x_low - slot / 2, x_high + slot / 2), (y_low, y_high)
+    return limits([s.x for s in plot.series], pad=0.04), limits(parts, log=plot.log_y)
 
 
 def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -> tuple[Axis, Axis]:
@@ -188,7 +173,7 @@ def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -
         x_low, x_high = _widen(x_low, x_high, unit * shape[0])
         y_low, y_high = _widen(y_low, y_high, unit * shape[1])
     y_axis = (log_axis if plot.log_y else linear_axis)(y_low, y_high, counts[1])
-    shown = [drawable(s.x) for s in plot.series]
+    shown = [mask(s.x) for s in plot.series]
     whole = all(np.all(np.isnan(x) | (x == np.round(x))) for x in shown)
     return linear_axis(x_low, x_high, counts[0], whole), y_axis
 
@@ -196,44 +181,6 @@ def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -
 def _widen(low: float, high: float, span: float) -> tuple[float, float]:
     spare = max(0.0, span - (high - low)) / 2
     return low - spare, high + spare
-
-
-def bar_slot(plot: Plot) -> float:
-    """Room on x, in data units, that one group of bars may fill; 0 for a plot without bars."""
-    bars = [drawable(s.x) for s in plot.series if s.mark == "bars"]
-    places = np.unique(np.concatenate([x[~np.isnan(x)] for x in bars])) if bars else np.empty(0)
-    if places.size < 2:
-        return 0.1 * abs(float(places[0])) or 1.0 if places.size else 0.0
-    return float(np.diff(places).min())
-
-
-def named_places(plot: Plot) -> dict[float, str]:
-    """x -> name where every point of every series is named and names agree; else empty."""
-    places: dict[float, str] = {}
-    for series in plot.series:
-        if len(series.names) != len(series.x):
-            return {}
-        for x, name in zip(series.x.tolist(), series.names, strict=True):
-            if not math.isfinite(x) or abs(x) > LARGEST or places.setdefault(x, name) != name:
-                return {}
-    return places
-
-
-PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "currentColor")
-FONT = 12.5
-DASHED = 200  # points of a line that may be dashed: a longer one is too ragged for it
-DASHES = ("", "7 3", "2 3", "8 3 2 3", "12 4", "4 2 1 2 1 2")
-WIDTH, HEIGHT = 600, 330
-LEGEND_ROW = 20.0
-SWATCH = 26.0
-#: Colours that mean the same on every page: the reading as it came, before the search, after it.
-_ROLES = {
-    **dict.fromkeys(("raw", "raw reading", "as read"), 0),
-    **dict.fromkeys(("before", "alone"), 1),
-    **dict.fromkeys(("after", "corrected", "with the fleet"), 2),
-}
-#: Colour of the series (None: that of the text), and what is drawn in it.
-Group = tuple[int | None, list[Shape]]
 
 
 @dataclass(frozen=True)
@@ -247,11 +194,11 @@ class AxesFrame:
     x: Axis
     y: Axis
 
-    def place(self, series: Series, shift: float) -> marks.Placed:
-        """A series in pixels; `shift` moves it sideways (bars side by side)."""
-        x = self.left + shift + self.width * self.x.fraction(series.x)
+    def place(self, series: Series) -> marks.Placed:
+        """A series in pixels."""
+        x = self.left + self.width * self.x.fraction(series.x)
         edges = [None if e is None else self._edge(e) for e in (series.low, series.high)]
-        titles = marks.hover(series.names, drawable(series.x), drawable(series.y))
+        titles = marks.hover_titles(series.names, mask(series.x), mask(series.y))
         return marks.Placed(x, self.down(series.y), edges[0], edges[1], titles)
 
     def down(self, values: Array) -> Array:
@@ -271,7 +218,7 @@ def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> Markup:
     legend, legend_height = _legend(plot, width)
     frame = _frame(plot, width, height, legend_height)
     across = frame.left + frame.width * frame.x.fraction(frame.x.ticks)
-    x_label = plot.x_label if plot.bare else frame.x.titled(plot.x_label)
+    x_label = plot.x_label if plot.bare else frame.x.full_label(plot.x_label)
     return fill(
         "plot.svg.j2",
         plot=plot,
@@ -283,9 +230,8 @@ def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> Markup:
         legend=legend,
         x_ticks=_shown(across, frame.x.labels),
         y_ticks=_shown(frame.down(frame.y.ticks), frame.y.labels),
-        barred=any(series.mark == "bars" for series in plot.series),
         x_label=clip(x_label, FONT, frame.width),
-        y_label=clip(frame.y.titled(plot.y_label), FONT, frame.height + 20),
+        y_label=clip(frame.y.full_label(plot.y_label), FONT, frame.height + 20),
         drawn=_draw_series(plot, frame),
     )
 
@@ -309,15 +255,10 @@ def _frame(plot: Plot, width: int, height: int, legend_height: float) -> AxesFra
     left = 8.0 if plot.bare else left
     shape = (width - left - (8 if plot.bare else 16), tall)
     x_axis, y_axis = plot_axes(plot, shape, counts)
-    # Names under the bars instead of numbers, where all are named and have room.
-    places = named_places(plot) if any(s.mark == "bars" for s in plot.series) else {}
-    room = shape[0] * bar_slot(plot) / (x_axis.high - x_axis.low) - 4
-    if places and all(text_width(name, FONT) <= room for name in places.values()):
-        x_axis = Axis(x_axis.low, x_axis.high, np.array(list(places)), tuple(places.values()))
     return AxesFrame(left, top, *shape, x_axis, y_axis)
 
 
-def slots_of(plot: Plot) -> list[int]:
+def assign_slots(plot: Plot) -> list[int]:
     """Colour and marker of each series: those of its role, else the first that are free."""
     taken = {_ROLES[s.label] for s in plot.series if s.label in _ROLES}
     free = (slot for slot in count() if slot not in taken)
@@ -326,22 +267,15 @@ def slots_of(plot: Plot) -> list[int]:
 
 def _draw_series(plot: Plot, frame: AxesFrame) -> list[Group]:
     """Every series that has a point, or a piece of band, to show."""
-    slots = slots_of(plot)
-    grouped = [i for i, s in enumerate(plot.series) if s.mark == "bars"]
-    slot = frame.width * bar_slot(plot) / (frame.x.high - frame.x.low) * 0.76
-    wide = min(slot / max(len(grouped), 1), 64.0)
-    foot = frame.top + frame.height
-    if not plot.log_y:
-        foot = float(frame.down(np.zeros(1))[0])
+    slots = assign_slots(plot)
     crowded = any(s.mark == "points" and len(s.x) > marks.CROWDED for s in plot.series)
     drawn: list[Group] = []
     for i, series in enumerate(plot.series):
         parts = [part for part in (series.y, series.low, series.high) if part is not None]
-        x = drawable(series.x)
-        if not any(np.isfinite(x + drawable(part, plot.log_y)).any() for part in parts):
+        x = mask(series.x)
+        if not any(np.isfinite(x + mask(part, plot.log_y)).any() for part in parts):
             continue
-        shift = (grouped.index(i) - (len(grouped) - 1) / 2) * wide if i in grouped else 0.0
-        placed = frame.place(series, shift)
+        placed = frame.place(series)
         match series.mark:
             case "net":
                 drawn.append((None, [Shape("net", one.d) for one in marks.line(placed)]))
@@ -350,18 +284,15 @@ def _draw_series(plot: Plot, frame: AxesFrame) -> list[Group]:
                 drawn.append((slots[i], marks.error_bars(placed) + points))
             case "rings":
                 drawn.append((slots[i], marks.rings(placed)))
-            case "bars":  # whiskers in the colour of the text: a bar hides those of its own
-                drawn.append((slots[i], marks.bars(placed, foot, wide * 0.92)))
-                drawn.append((None, marks.error_bars(placed, min(4.0, wide / 3))))
             case _:
-                line = marks.line(placed, _dash(plot, i), series.mark == "step")
+                line = marks.line(placed, _dash(plot, i))
                 drawn.append((slots[i], marks.band(placed) + line))
     return drawn
 
 
 def _dash(plot: Plot, i: int) -> str:
     """The dash pattern of a line: the first is solid, and so is one of many points."""
-    order = sum(s.mark in ("line", "band", "step") for s in plot.series[:i])
+    order = sum(s.mark in ("line", "band") for s in plot.series[:i])
     return DASHES[order % len(DASHES)] if len(plot.series[i].x) <= DASHED else ""
 
 
@@ -371,11 +302,11 @@ def _legend(
     """Swatches and labels in rows above the axes, and their height; none for a single series."""
     if len(plot.series) < 2:
         return [], 0.0
-    x, y, drawn, slots = 4.0, 12.0, [], slots_of(plot)
+    x, y, drawn, slots = 4.0, 12.0, [], assign_slots(plot)
     for i, series in enumerate(plot.series):
         if series.mark == "net":
             continue
-        swatch = 14.0 if series.mark in ("points", "bars", "rings") else SWATCH
+        swatch = 14.0 if series.mark in ("points", "rings") else SWATCH
         label = clip(series.label, FONT, width - SWATCH - 40)
         needed = swatch + text_width(label, FONT) + 26
         if x + needed > width and x > 4:
@@ -392,8 +323,6 @@ def _swatch(plot: Plot, i: int, slot: int, x: float, y: float) -> list[Shape]:
             return [Shape("mark", marks.MARKERS[slot % len(marks.MARKERS)](x + 7, y))]
         case "rings":
             return [Shape("line", marks.ring(x, y, 6))]
-        case "bars":
-            return [Shape("bar", box=(x, y - 5, 14, 10))]
     line = Shape("line", f"M{short(x)},{short(y)}h{SWATCH:g}", _dash(plot, i))
     area = Shape("band", f"M{short(x)},{short(y - 5)}h{SWATCH:g}v10h-{SWATCH:g}z")
     return [line] if series.low is None else [area, line]

@@ -1,4 +1,4 @@
-"""A table laid out: squared, decimal points under each other, and as characters.
+"""A table laid out: decimal points under each other, and as characters.
 
 Numbers are never wrapped; a table that is too wide is split into parts.
 """
@@ -16,27 +16,16 @@ from rich.padding import Padding
 from rich.table import Table as Grid
 from rich.text import Text as Line
 
-from imucalib.report.render.document import Table, Tone
-from imucalib.report.render.terminal import one_line
+from imucalib.report.render.document import Table
+from imucalib.report.render.terminal import SIGNS, STYLES, one_line
 
 _NUMBER = re.compile(r"[<>≤≥~±+\-−]*\s?\d[\d,   ]*(?:\.(?P<decimals>[\d   ]*))?(?P<tail>.*)")
 _ABSENT = frozenset({"", "-", "–", "—", "n/a"})
 MOST = 8  # a wider pad would cost more room than the alignment gives back
 GAP = 2
 NARROWEST = 14  # cells that a left-aligned column keeps before the table is split
-_STYLES: dict[Tone, str] = {"ok": "green", "warning": "yellow", "bad": "bold red", "plain": ""}
-_SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": " "}
 #: A rule under the header and nothing else.
 _RULED = Box("    \n    \n ── \n    \n    \n    \n    \n    \n")
-
-
-def square(table: Table) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
-    """Header, rows and alignment, all of one number of columns (short rows get empty cells)."""
-    n = max([len(table.header), *(len(row) for row in table.rows)])
-    align = table.align or "l" + "r" * n
-    rows = tuple((*row, *[""] * (n - len(row))) for row in table.rows)
-    header = (*table.header, *[""] * (n - len(table.header)))
-    return header, rows, "".join("r" if side == "r" else "l" for side in align.ljust(n)[:n])
 
 
 def decimal_pads(cells: Sequence[str]) -> tuple[int, ...]:
@@ -62,11 +51,9 @@ def decimal_pads(cells: Sequence[str]) -> tuple[int, ...]:
 
 def column_pads(table: Table) -> list[tuple[int, ...]]:
     """`decimal_pads` of every column, zeros for left-aligned ones; indexed [column][row]."""
-    _, rows, align = square(table)
-    columns = [[row[j] for row in rows] for j in range(len(align))]
     return [
-        decimal_pads(cells) if side == "r" else (0,) * len(cells)
-        for cells, side in zip(columns, align, strict=True)
+        decimal_pads([row[j] for row in table.rows]) if side == "r" else (0,) * len(table.rows)
+        for j, side in enumerate(table.sides)
     ]
 
 
@@ -107,16 +94,15 @@ def grids(table: Table, width: int) -> Iterator[RenderableType]:
     Columns of text shrink first and fold their words; what is still too wide follows below, with
     the first column repeated.
     """
-    header, rows, align = square(table)
     columns = [
         _Column(
             one_line(name),
-            tuple(one_line(r[j]) + " " * p for r, p in zip(rows, pads, strict=True)),
-            align[j] == "r",
+            tuple(one_line(r[j]) + " " * p for r, p in zip(table.rows, pads, strict=True)),
+            table.sides[j] == "r",
         )
-        for j, (name, pads) in enumerate(zip(header, column_pads(table), strict=True))
+        for j, (name, pads) in enumerate(zip(table.header, column_pads(table), strict=True))
     ]
-    tones = [table.tones.get(i, "plain") for i in range(len(rows))]
+    tones = [table.tones.get(i, "plain") for i in range(len(table.rows))]
     signs = any(tone != "plain" for tone in tones)
     width -= 2 * signs
     parts = [columns[:1]]
@@ -140,7 +126,7 @@ def grids(table: Table, width: int) -> Iterator[RenderableType]:
                 Padding(c.shown(i, size), (0, gap, 0, 0))
                 for c, size, gap in zip(part, sizes, gaps, strict=True)
             ]
-            grid.add_row(*[_SIGNS[tone]] * signs, *cells, style=_STYLES[tone])
+            grid.add_row(*[SIGNS[tone] or " "] * signs, *cells, style=STYLES[tone])
         yield grid
 
 

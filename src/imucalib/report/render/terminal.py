@@ -1,8 +1,16 @@
-"""Text made safe for a terminal."""
+"""Text made safe for a terminal, and how tones look there."""
 
 from __future__ import annotations
 
 import unicodedata
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from imucalib.report.render.document import Tone
+
+#: A tone without and with colours.
+SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": ""}
+STYLES: dict[Tone, str] = {"ok": "green", "warning": "yellow", "bad": "red", "plain": ""}
 
 
 def one_line(text: str) -> str:

@@ -26,29 +26,36 @@ from imucalib.report.render.document import (
     capital,
 )
 from imucalib.report.render.table import grids
-from imucalib.report.render.terminal import one_line, safe
+from imucalib.report.render.terminal import SIGNS, STYLES, one_line, safe
 
 NARROWEST = 40
 MEASURE = 100  # longest line of running text
 PAGE = 60  # lines of a report
 SCREEN = 25  # lines of a calibration's first screen
 _MOST, _FEWEST = 4, 2  # lines of one thing on it
+_WHOLE = 10_000  # lines of one thing where nothing is cut
 _UNFOLDED = 100_000  # cells
 LEAST = 3  # rows of a table that stay, however little room there is
-SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": ""}
-STYLES: dict[Tone, str] = {"ok": "green", "warning": "yellow", "bad": "red", "plain": ""}
 WORDS: dict[Tone, str] = {"ok": "PASSED", "warning": "CAUTION", "bad": "FAILED", "plain": ""}
+#: Between two sentences.
+_SENTENCE = re.compile(r"(?<=[.)]) (?=[A-Z])")
+#: A command within a text, to the first backtick that is in no quotes.
+_COMMAND = re.compile(r"""`(imucal (?:[^`'"]|'[^']*'|"[^"]*")+)`""")
+#: Stands for a blank at which no line ends, until it is printed.
+_HELD = "\ue000"
+#: An option and its value in a shell's quotes, which a line break within would change.
+_QUOTED = re.compile(r"""--[a-z-]+[ =](?:'[^']*'|"[^"]*")+""")
 
 
 def render_text(document: Document, width: int, *, color: bool, full: bool = False) -> str:
     """What a reader needs first; no line is wider than `width` cells (at least 40).
 
     Of a document with a card a first screen: what it is good to, what was found, what to do; of
-    another one page: its head and of the brief sections those that fit, without plots.
+    another one page: its head and the sections that fit, without plots.
     color : ANSI colours; without them every tone still shows as a sign and a word
     full : every section, however long, without its plots
     """
-    return _Sheet(document.calm(), max(width, NARROWEST), color).printed(full)
+    return _Sheet(document.soften_tones(), max(width, NARROWEST), color).compose(full)
 
 
 class _Sheet:
@@ -70,18 +77,20 @@ class _Sheet:
             _environ={},
         )
 
-    def printed(self, full: bool) -> str:
+    def compose(self, full: bool) -> str:
         """The page, or all of it."""
         document = self.document
         if document.card and not full:
             return self.put(self.screen(document.card))
         titles = [s.title for s in document.sections]
         drawn = {s.title for s in document.sections if not _has_words(s)}
-        sections = [s for s in document.sections if _has_words(s) and (s.brief or full)]
-        lines = self.lines(*self.head(), *self.card())
+        sections = [s for s in document.sections if _has_words(s)]
+        lines = self.lines(*self.head())
+        if document.card:
+            lines += self.put_lists(self.lay_out_card(document.card, _WHOLE))
         if not full:
             foot = self.lines(*self.foot(titles, full=False))
-            sections = self.fitting(sections, PAGE - len(lines) - len(foot))
+            sections = self.select_fitting(sections, PAGE - len(lines) - len(foot))
         hidden = [title for title in titles if title not in {s.title for s in sections}]
         last = self.foot(hidden, full=full or set(hidden) <= drawn)
         shown = (part for section in sections for part in self.section(section))
@@ -110,9 +119,9 @@ class _Sheet:
             return rows
         return len(self.lines(*(part for s in sections for part in self.section(s))))
 
-    def fitting(self, sections: Sequence[Section], room: int) -> list[Section]:
+    def select_fitting(self, sections: Sequence[Section], room: int) -> list[Section]:
         """What is kept, shortened to the room, and what else fits into `room` lines, in order."""
-        kept = self.shortened([s for s in sections if s.kept], room)
+        kept = self.shorten([s for s in sections if s.kept], room)
         room -= self.length(kept)
         rest, shown = iter(kept), []
         for section in sections:
@@ -123,10 +132,10 @@ class _Sheet:
                 room -= length
         return shown
 
-    def shortened(self, sections: Sequence[Section], room: int) -> list[Section]:
+    def shorten(self, sections: Sequence[Section], room: int) -> list[Section]:
         """The sections with as many rows of each table as fit into `room` lines together."""
         rows = [len(b.rows) for s in sections for b in s.blocks if isinstance(b, Table)]
-        counts = range(LEAST, max(rows, default=LEAST) + 1)
+        counts = range(LEAST, max([LEAST, *rows]) + 1)
 
         def cut(count: int) -> list[Section]:
             return [_cut_tables(section, count) for section in sections]
@@ -138,9 +147,9 @@ class _Sheet:
         """The card alone, in `SCREEN` lines of 80 columns: all of it is said shorter before any of
         it goes, the last step first."""
         for most in range(_MOST, _FEWEST - 1, -1):
-            lists = self.briefly(card, most)
-            headline = card.headline or self.document.verdict.text
-            head = self.lines(*self.head(self.cut(headline, most - 1, 10)))
+            lists = self.lay_out_card(card, most)
+            verdict = self.cut(self.document.verdict.text, most - 1, 10)
+            head = self.lines(*self.head(verdict))
             room = SCREEN - len(head) - 2 * len(lists) - len(self.last(PAGE))
             if sum(map(_height, lists.values())) <= room:
                 break
@@ -148,29 +157,31 @@ class _Sheet:
         for items in reversed(kept.values()):  # what it is good to goes last
             while len(items) > 1 and sum(map(_height, kept.values())) > room:
                 items.pop()
-        lines = head
-        for name, shown in kept.items():
-            lines += self.lines(*self.heading(name))
-            lines += [line for item in shown for line in item]
         cut = sum(len(items) - len(kept[name]) for name, items in lists.items())
-        return lines + self.last(cut)
+        return head + self.put_lists(kept) + self.last(cut)
+
+    def put_lists(self, lists: dict[str, list[list[Line]]]) -> list[Line]:
+        """Things, by the headings that they stand under."""
+        lines: list[Line] = []
+        for name, items in lists.items():
+            lines += self.lines(*self.heading(name))
+            lines += [line for item in items for line in item]
+        return lines
 
     def last(self, cut: int) -> list[Line]:
         """Where the rest is, with how many things had no room."""
         where = f"--full{f', or {self.document.drawn}' if self.document.drawn else ''}"
         more = f"{cut} more, and the details" if cut else "The details"
-        return self.lines(Line(), self.running(Line(f"{more}: {where}", "dim")))
+        return self.lines(Line(), self.fold(Line(f"{more}: {where}", "dim")))
 
-    def briefly(self, card: Card, most: int) -> dict[str, list[list[Line]]]:
+    def lay_out_card(self, card: Card, most: int) -> dict[str, list[list[Line]]]:
         """What a card says as lines of each thing, none of more than `most` but for commands."""
         widest = max((cell_len(one_line(w.quantity)) for w in card.good_to), default=0)
-        lead = min(widest, self.measure // 3)
-        worths = [
-            self.lines(
-                self.listed([(one_line(w.quantity), f"{w.value} ({w.detail})")], lead, 2, "dim", "")
-            )
-            for w in card.good_to
-        ]
+        lead, worths = min(widest, self.measure // 3), []
+        for worth in card.good_to:
+            said = f"{worth.value} ({worth.whole if most == _WHOLE else worth.detail})"
+            row = (one_line(worth.quantity), _hold_options(one_line(said)))
+            worths.append(self.lines(self.list_rows([row], lead, 2, "dim", "")))
         found = [
             self.lines(self.paragraph(replace(text, text=self.cut(text.text, most, 2))))
             for text in card.found
@@ -187,7 +198,7 @@ class _Sheet:
         if typed := self.lay_out_command(text, f"{number}.", 2):
             return self.lines(*typed)
         said = self.cut(_normalize_spaces(text).replace("`", ""), most, 3)
-        return self.lines(self.listed([(f"{number}.", said)], 2, 1, "", ""))
+        return self.lines(self.list_rows([(f"{number}.", said)], 2, 1, "", ""))
 
     def lay_out_command(
         self, text: str, lead: str, width: int, style: str = ""
@@ -204,7 +215,7 @@ class _Sheet:
         lines = _continue_lines(parts[1], self.measure - width - 1)
         blank = " " * (width + 1)
         return [
-            self.listed([(lead, said)], width, 1, style, style),
+            self.list_rows([(lead, said)], width, 1, style, style),
             *(Line(blank + line, no_wrap=True, overflow="ignore") for line in lines),
         ]
 
@@ -216,35 +227,14 @@ class _Sheet:
             said.pop()
         return " ".join(said)
 
-    def head(self, headline: str = "") -> list[RenderableType]:
-        """Title and verdict, or a headline in its place."""
+    def head(self, words: str = "") -> list[RenderableType]:
+        """Title and verdict, or its first words."""
         verdict = self.document.verdict
         mark = f"{SIGNS[verdict.tone]} {WORDS[verdict.tone]}: " if SIGNS[verdict.tone] else ""
-        said = Line(mark + _normalize_spaces(headline or verdict.text))
+        said = Line(mark + _normalize_spaces(words or verdict.text))
         said.stylize(f"bold {STYLES[verdict.tone]}".strip(), 0, len(mark))
-        title = self.running(Line(one_line(self.document.title), "bold"))
-        return [title, Line("═" * self.measure, "dim"), self.running(said)]
-
-    def card(self) -> list[RenderableType]:
-        """Worth, findings and steps, each with its heading."""
-        card = self.document.card
-        if card is None:
-            return []
-        worth = [(w.quantity, f"{w.value} ({w.whole})") for w in card.good_to]
-        advice = card.to_do or ("Nothing to do.",)
-        steps = [
-            part
-            for lead, one in ((f"{i}.", one) for i, one in enumerate(advice, start=1))
-            for part in self.lay_out_command(one, lead, 2)
-            or [self.listed([(lead, _normalize_spaces(one))], 2, 1, "", "")]
-        ]
-        return [
-            *((*self.heading("Good to"), self.facts(worth)) if worth else ()),
-            *self.heading("Found"),
-            *map(self.paragraph, card.found),
-            *self.heading("What to do"),
-            *steps,
-        ]
+        title = self.fold(Line(one_line(self.document.title), "bold"))
+        return [title, Line("═" * self.measure, "dim"), self.fold(said)]
 
     def section(self, section: Section) -> list[RenderableType]:
         """Its heading, and its blocks with an empty line between them."""
@@ -263,9 +253,9 @@ class _Sheet:
                         Line(one_line(block.title), "bold"),
                         Line(one_line(block.note), "dim"),
                     )
-                    parts += [self.running(title)] if title else []
+                    parts += [self.fold(title)] if title else []
                     parts += grids(block, self.width)
-                    parts += [self.running(note)] if note else []
+                    parts += [self.fold(note)] if note else []
         return parts
 
     def heading(self, title: str) -> list[RenderableType]:
@@ -275,7 +265,7 @@ class _Sheet:
         rule = "─" * (self.measure - cell_len(name.plain) - 1)
         return [Line(), Line.assemble(name, " ", (rule, "dim"))]
 
-    def running(self, text: Line) -> RenderableType:
+    def fold(self, text: Line) -> RenderableType:
         """Words folded to the measure."""
         grid = Grid.grid()
         grid.add_column(width=self.measure, overflow="fold")
@@ -288,16 +278,16 @@ class _Sheet:
         if typed := self.lay_out_command(words, SIGNS[text.tone], 1, style):
             return Group(*typed)
         if not SIGNS[text.tone]:
-            return self.running(Line(words, style))
-        return self.listed([(SIGNS[text.tone], words)], 1, 1, style, style)
+            return self.fold(Line(words, style))
+        return self.list_rows([(SIGNS[text.tone], words)], 1, 1, style, style)
 
     def facts(self, rows: Sequence[tuple[str, str]], style: str = "") -> RenderableType:
         """Names in one column, values folded in the next."""
         named = [(one_line(name), _hold_options(one_line(value))) for name, value in rows]
         widest = max((cell_len(name) for name, _ in named), default=0)
-        return self.listed(named, min(widest, self.measure // 3), 2, "dim", style)
+        return self.list_rows(named, min(widest, self.measure // 3), 2, "dim", style)
 
-    def listed(
+    def list_rows(
         self, rows: Sequence[tuple[str, str]], lead: int, gap: int, lead_style: str, style: str
     ) -> RenderableType:
         """Short leads in a column of `lead` cells, texts folded `gap` cells to the right."""
@@ -320,14 +310,6 @@ class _Sheet:
         return [Line(), Line("─" * self.measure, "dim"), self.facts(rows, "dim")]
 
 
-#: Between two sentences.
-_SENTENCE = re.compile(r"(?<=[.)]) (?=[A-Z])")
-
-
-#: A command within a text, to the first backtick that is in no quotes.
-_COMMAND = re.compile(r"""`(imucal (?:[^`'"]|'[^']*'|"[^"]*")+)`""")
-
-
 def _height(items: Sequence[Sequence[Line]]) -> int:
     return sum(map(len, items))
 
@@ -347,12 +329,6 @@ def _continue_lines(command: str, width: int) -> list[str]:
 def _has_words(section: Section) -> bool:
     """Whether anything of it is words."""
     return any(not isinstance(block, Plot) for block in section.blocks)
-
-
-#: Stands for a blank at which no line ends, until it is printed.
-_HELD = "\ue000"
-#: An option and its value in a shell's quotes, which a line break within would change.
-_QUOTED = re.compile(r"""--[a-z-]+[ =](?:'[^']*'|"[^"]*")+""")
 
 
 def _normalize_spaces(text: str) -> str:

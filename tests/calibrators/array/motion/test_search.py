@@ -99,7 +99,7 @@ def _motion(k: int = 3) -> BoardMotion:
 
 def test_every_array_effect_is_documented() -> None:
     text = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
-    shown = [n for n, e in array_catalogue().items() if not e.find_missing(_motion().context)]
+    shown = [n for n, e in array_catalogue().items() if not e.missing(_motion().context)]
     assert len(shown) > 20
     assert not [name for name in shown if f"## {name}\n" not in text]
 

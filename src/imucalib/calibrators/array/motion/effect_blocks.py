@@ -124,6 +124,7 @@ def _rest_steps(loop: FitLoop) -> Iterator[Step]:
             step,
             effect=AT_REST + step.effect,
             size=f"{rms:.2g} {unit} rms of {count}",
+            formula="",  # each chip has numbers of its own
             checks=tuple(
                 CheckedError("rests, leave one out", "m/s²", MG * c.before, MG * c.after, 5)
                 for c in step.checks

@@ -106,13 +106,13 @@ def _every(
     for effect in array_catalogue().values():
         if effect.twin:
             continue
-        if reason := effect.find_missing(motion.context):
+        if reason := effect.missing(motion.context):
             missing[effect.name] = reason
         else:
             twin = next((e for e in held.values() if e.twin == effect.name), effect)
             every[effect.name] = "name", "", [twin]
     for covariate, law in array_laws(motion):
-        if not law.find_missing(motion.context):
+        if not law.missing(motion.context):
             forms = every.setdefault(f"another law of {covariate}", ("law", covariate, []))[2]
             forms.append(held.get(law.name, law))
     for covariate, function in array_functions(motion):

@@ -402,7 +402,7 @@ def add_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
         effect = find_effect(name, state.setup.imus)
         if "sample_age" in effect.needs and state.motion.age is None:
             state = add_estimated_clock(state)
-        reason = effect.find_missing(state.motion.context)
+        reason = effect.missing(state.motion.context)
         term = None if reason else new_term(state, name, effect)
         if term is None or term.value.size == 0:
             raise Undetermined(
