@@ -48,3 +48,15 @@ def test_what_no_fit_takes_up_is_refused() -> None:
 
 def test_what_stands_where_it_was_foretold_is_not_searched_again() -> None:
     assert searches({"": "a", "a": "b"}, foretold="a") == ("a", "a", False, "")
+
+
+def test_what_is_told_twice_is_not_refitted_again() -> None:
+    """A refit that drops what it was given is not asked once more."""
+    refits: list[str] = []
+
+    def refit(state: str, found: str) -> tuple[str, bool]:
+        refits.append(found)
+        return state, False
+
+    end = search_until_settled("", lambda _: "a", refit, told=str, held=str, rounds=5)
+    assert (end.state, end.found, end.refused, refits) == ("", "a", False, ["a"])

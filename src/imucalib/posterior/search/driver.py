@@ -32,17 +32,19 @@ def search_until_settled(
     held: Callable[[S], Hashable],
     rounds: int,
 ) -> Settled[S, F]:
-    """Search from a state, and again from its refit, until the same is told twice.
+    """Search from a state, and again from its refit, until the same is told twice in a row, or what
+    the state holds: then nothing is refitted, be it that the last refit did not hold all of it.
 
     state : where the first search stands
     search : what is found at the linearisation where a state stands
     refit : the state with what is found in it, its aliases told apart, and whether it is where the
         search foretold it to be, so that another would say the same; None where no fit settles
     told, held : what is told of what was found, and what a state holds of such, in the same terms
-    rounds : searches at most
+    rounds : searches at most, one or more; what the last one tells is refitted too
 
-    What was told before and left is no standstill but a round trip: it is refitted, so that what
-    is told and what is fitted are the same, and the search ends.
+    What an earlier search told and a later one left is no standstill but a round trip: it is
+    refitted, so that what is told and what is fitted are the same, and the search ends. What the
+    first state held was told by none.
     """
     last, seen = held(state), set[Hashable]()
     while True:
