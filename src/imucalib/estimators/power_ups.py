@@ -24,6 +24,8 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 
+#: Sizes of a grid that is even in the logarithm; it goes from a share of what noise alone does to
+#: so many times the scatter, or the noise where that is larger.
 _SIZES, _REACH = 36, (0.05, 30.0)
 #: Nats below the likeliest from which on a size of the scatter is not looked at closely.
 _FAR = 15.0
@@ -69,7 +71,8 @@ class Parts:
 
 def parts_of(information: Array, vector: Array, block: Index, free: Index) -> Parts:
     """Of products (L, p, p) and (L, p): the parts of `block`, where `free` parameters have any
-    value in each recording, and all others one in all."""
+    value in each recording, and all others, any value too, one in all. What no recording tells of
+    these takes nothing from the parts."""
     count = information.shape[1]
     kept = np.setdiff1d(np.arange(count), free)
     if free.size:
@@ -157,7 +160,12 @@ class NextOne:
 
 
 def predict_next(values: Array, sds: Array) -> NextOne:
-    """By values (L, k) with standard deviations (L, k), each by itself; L is two at least."""
+    """By values (L, k) with standard deviations (L, k), each by itself; L is two at least.
+
+    Noise alone does the root of the mean square of all sds, the scatter is the largest of the k.
+    The likelihoods, restricted for the mean, are had on the grid of `_SIZES`, then on one of twice
+    as many over those within `_FAR` of the likeliest of any of the k, and one size beyond.
+    """
     apart = float(np.std(values, axis=0, ddof=1).max())
     noise = max(float(np.sqrt(np.mean(sds**2))), _SURE * apart, _LEAST)
     top = max(apart, noise)
@@ -175,8 +183,12 @@ def predict_next(values: Array, sds: Array) -> NextOne:
 
 
 def sizes_allowed(parts: Parts, sd: float) -> tuple[Array, Array, Array]:
-    """Sizes of the parts' scatter, their weights for all axes and for each, the other axes at
-    `sd`."""
+    """Sizes of the scatter of parts, three each, and their weights for all axes and for each.
+
+    sd : that the other axes have while one is weighed, and the scatter that the grid goes by
+
+    Noise alone does the mean of the information's diagonal to the power -1/2.
+    """
     noise_alone = float(np.mean(np.diag(parts.information)) ** -0.5)
     sizes = np.geomspace(_REACH[0] * noise_alone, _REACH[1] * max(sd, noise_alone), _SIZES)
     axes = np.eye(3, dtype=bool)
@@ -185,7 +197,8 @@ def sizes_allowed(parts: Parts, sd: float) -> tuple[Array, Array, Array]:
 
 
 def _weights(sizes: Array, nats: Array, noise_alone: float) -> tuple[Array, Array]:
-    """Of sizes (s,) for all axes and for each, by the nats (k, s) of each."""
+    """Of sizes (s,), even in the logarithm, for all axes and for each, by the nats (k, s) of each.
+    The law of an axis about a size of all is one over these sizes, cut where they end."""
     likely = np.exp(nats - nats.max(axis=1, keepdims=True))
     about = np.exp(-0.5 * (np.log(sizes[:, None] / sizes) / _UNLIKE) ** 2)
     about = about / about.sum(axis=0)  # (size of an axis, size of all)
