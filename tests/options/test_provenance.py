@@ -56,7 +56,7 @@ def asked(name: str, arguments: tuple[str, ...], bench: Bench, folder: Path) -> 
     told: list[dict[str, object]] = []
 
     def stop(*given: Any) -> NoReturn:
-        (request,) = (one for one in given if hasattr(one, "stated"))
+        (request,) = (one for one in given if hasattr(one, "describe_settings"))
         told.append({"seed": getattr(request, "seed", None), **request.describe_settings()})
         raise Stopped("stopped")
 
