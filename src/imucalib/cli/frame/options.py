@@ -247,10 +247,11 @@ def population_of(options: Mapping[str, Any], reference: str, **usual: Any) -> P
             raise UsageError(f"{option} knows no prior", remedy=f"leave out --fleet or {option}")
     kind = read(options["fleet"])
     if kind.reference != reference:
+        other = f"give --reference {kind.reference}, or " if "reference" in options else ""
         raise UsageError(
             f"the fleet was calibrated by {kind.reference}, this device is by {reference}",
             where=str(options["fleet"]),
-            remedy=f"give a fleet that was calibrated by {reference} (lab --reference {reference})",
+            remedy=f"{other}give a fleet that was calibrated by {reference}",
         )
     return kind
 
