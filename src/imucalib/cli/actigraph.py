@@ -96,7 +96,7 @@ def command(recording: Path, say: Say, **options: Any) -> list[Report]:
 
 def _seconds(text: str) -> float:
     """ "7d", "12h" or "30min" in seconds; raises click's usage error."""
-    found = re.fullmatch(r"(\d+\.?\d*)(min|h|d)", text)
+    found = re.fullmatch(r"(\d+\.?\d*|\.\d+)(min|h|d)", text)
     if found is None or not float(found[1]):
         raise click.BadParameter(f"'{text}' is not a time such as 7d or 12h", param_hint="--every")
     return float(found[1]) * {"min": 60.0, "h": 3600.0, "d": 86400.0}[found[2]]

@@ -192,7 +192,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
     by_size = result.by_size.outcome.findings
     if not request.loop or by_size is None:
         return Findings("not run", only=request.only, without=request.without)
-    loop, noise, stored = _loop(result), result.fit.noise, result.found.problem.absorbed
+    loop, noise, stored = _loop(result), result.fit.noise, result.found.said.problem.absorbed
     words = (
         f"off by {noise.floor / DEG:.2g} deg and {100.0 * noise.per_angle:.2g} % of the angle "
         f"each; bias walk {float(np.mean(noise.walk)) / DEG:.2g} deg/s per root s"
@@ -213,7 +213,7 @@ def _findings(result: ImuResult, request: ImuRequest) -> Findings:
 def _loop(result: ImuResult) -> Loop[TurnFit]:
     """The search over both sensors."""
     found, held = result.found, result.held_out
-    problem, said, steps = found.problem, found.said, _steps(result)
+    problem, said, steps = found.said.problem, found.said, _steps(result)
     components = problem.components
     nameless = (place for place in said.places if not components[place.component].named)
     refused = tuple(step.effect for step in steps) if result.refused else ()
@@ -227,7 +227,7 @@ def _loop(result: ImuResult) -> Loop[TurnFit]:
         unexplained=tuple(
             said.leave_unexplained(p, lambda c: problem.components[c].name) for p in nameless
         ),
-        scores=scores_of(problem, found.posterior, shown),
+        scores=scores_of(problem, found.said.posterior, shown),
         missing=found.lacking.missing,
         difference=next((d for d in (held.of_turns, held.of_forces) if d.proved), held.gained),
         complete=said.complete,
@@ -258,7 +258,7 @@ def _steps(result: ImuResult) -> tuple[Step, ...]:
     found, held = result.found, result.held_out
     said, sizes, steps = found.said, _sizes(result), []
     for place in said.places:
-        if not found.problem.corrects(place.component):
+        if not found.said.problem.corrects(place.component):
             continue
         effect = said.member(place.component).effects[0][0]
         of_rate = effect.channel == "angular_rate"
@@ -272,8 +272,8 @@ def _steps(result: ImuResult) -> tuple[Step, ...]:
 def _name(result: ImuResult, component: int) -> str:
     """The effect of a component where it is told or likeliest, its own name where it has none."""
     found = result.found
-    if not found.problem.corrects(component):
-        return found.problem.components[component].name
+    if not found.said.problem.corrects(component):
+        return found.said.problem.components[component].name
     return found.said.name(component)
 
 

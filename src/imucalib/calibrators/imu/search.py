@@ -40,7 +40,7 @@ from imucalib.posterior.search.gram import Grams, marginalize, multiply_columns
 from imucalib.posterior.search.noise import between_temperatures
 from imucalib.posterior.search.problem import Choice, Contest
 from imucalib.posterior.search.solution import moments
-from imucalib.posterior.search.space import Hypothesis, Posterior, blocks_of, hill_climb
+from imucalib.posterior.search.space import Hypothesis, blocks_of, hill_climb
 
 _FIXED = ACCELEROMETER + GAIN
 #: Share of a column's square that the base leaves, below which it is the base's.
@@ -86,20 +86,10 @@ class LawSearch:
     terms: tuple[LawTerm, ...]
     final: TurnFit
 
-    @property
-    def problem(self) -> TurnProblem:
-        """The last one."""
-        return self.said.problem
-
-    @property
-    def posterior(self) -> Posterior:
-        """Over its sets."""
-        return self.said.posterior
-
     @cached_property
     def heard(self) -> Lacking:
         """What a part of the data may have a say for."""
-        every, heard = self.problem.components, components_heard(self.posterior)
+        every, heard = self.said.problem.components, components_heard(self.said.posterior)
         return self.lacking.among({every[k].name for k in heard})
 
 
@@ -196,7 +186,7 @@ def refit_without(
     base = leave_out(found.base, turns, rests)
     if not request.loop:
         return base, base
-    problem, grams = found.heard.contest(base, found.posterior.grams.points)
+    problem, grams = found.heard.contest(base, found.said.posterior.grams.points)
     new = _terms(select_model(problem, hill_climb(problem, grams)))
     if not new:
         return base, base

@@ -106,7 +106,7 @@ def close_array_loop(
 
     base, final, found = search(setup)
     gained = cross_fitted(halved or setup, lambda half: search(half, found)[:2])
-    steps = steps_of(found, final, gained)
+    steps, problem = steps_of(found, final, gained), found.said.problem
     shifts = _find_unnamed(found, final)
     open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
     deciding = None if gained is None else gained.select_deciding(_sensors_that_show(final, steps))
@@ -132,9 +132,11 @@ def close_array_loop(
         rejected=(*found.rejected, *refused),
         refuted=tuple(name for name, _ in refused),
         unexplained=tuple(open_ends),
-        scores=scores_of(found.problem, found.posterior, measure_shown(found.problem)),
+        scores=scores_of(
+            found.said.problem, found.said.posterior, measure_shown(found.said.problem)
+        ),
         first_scores=found.scores,
-        missing=found.problem.missing,
+        missing=problem.missing,
         difference=deciding,
         complete=found.said.complete,
         gained=gained,
@@ -157,8 +159,8 @@ def _sensors_that_show(final: ArrayState, steps: Sequence[Step]) -> set[Channel]
 def _drop_laws(found: MotionSearch, scope: Scope, *, curves: bool) -> ArrayState | None:
     """The fit without laws, which have no name, unless they are to be corrected; None where it runs
     away."""
-    chosen = found.problem.of_set(found.said.hypothesis)
-    named = [one for one in chosen if curves or found.problem.is_named(one.name)]
+    chosen = found.said.problem.of_set(found.said.hypothesis)
+    named = [one for one in chosen if curves or found.said.problem.is_named(one.name)]
     known = {term.name for term in found.state.found}
     if known == {one.name for one in named} | (known & set(scope.declare)):
         return found.state
@@ -227,7 +229,7 @@ def steps_of(found: MotionSearch, final: ArrayState, gained: Gained | None) -> t
             effect=term.name,
             aliases=tuple(n for n, _ in likely if n != term.name),
             certain=place.certain and twins[0][1] > CERTAIN,
-            curve="" if found.problem.is_named(name) else term.name.removeprefix(CURVE),
+            curve="" if found.said.problem.is_named(name) else term.name.removeprefix(CURVE),
             formula="",
         )
         steps.append(step)
@@ -243,9 +245,11 @@ def _find_unnamed(found: MotionSearch, final: ArrayState) -> dict[Unexplained, A
     shifts, own = {}, {term.name for term in final.found}
     for place in found.said.places:
         name = found.said.name(place.component)
-        if found.problem.is_named(name) and name in own:
+        if found.said.problem.is_named(name) and name in own:
             continue
-        moved = found.problem.find_shift(found.posterior, found.said.hypothesis, place.component)
+        moved = found.said.problem.find_shift(
+            found.said.posterior, found.said.hypothesis, place.component
+        )
         one = found.said.leave_unexplained(place)
         shifts[one] = 0.0 * moved if name in own else moved
     return shifts

@@ -238,26 +238,16 @@ class MotionSearch:
     rejected: tuple[tuple[str, str], ...] = ()
 
     @property
-    def problem(self) -> MotionProblem:
-        """The last one."""
-        return self.said.problem
-
-    @property
-    def posterior(self) -> Posterior:
-        """Over its sets."""
-        return self.said.posterior
-
-    @property
     def chosen(self) -> tuple[Member, ...]:
         """What is told."""
-        return self.problem.of_set(self.said.hypothesis)
+        return self.said.problem.of_set(self.said.hypothesis)
 
     @property
     def likely(self) -> Odds:
         """Components that are in any set near the likeliest, or in what is told."""
-        inside = of_each(self.posterior, len(self.problem.components))[1]
+        inside = of_each(self.said.posterior, len(self.said.problem.components))[1]
         inside[list(self.said.hypothesis.components)] = 1.0
-        own = zip(self.problem.components, self.problem.odds, inside, strict=True)
+        own = zip(self.said.problem.components, self.said.problem.odds, inside, strict=True)
         return {one.name: float(odds) for one, odds, share in own if share > _UNLIKELY}
 
 
