@@ -34,7 +34,7 @@ from imucalib.calibrators.array.motion.setup import Setup
 from imucalib.calibrators.array.motion.state import ArrayState, find_memory, measure_dispersion
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Channel
-from imucalib.posterior.closed_loop.found import FitLoop, Loop, Step, Unexplained
+from imucalib.posterior.closed_loop.found import FitLoop, Loop, Score, Step, Unexplained
 from imucalib.posterior.closed_loop.words import scores_of
 from imucalib.posterior.odds import CERTAIN
 from imucalib.significant_digits import plus_minus
@@ -106,7 +106,7 @@ def close_array_loop(
 
     base, final, found = search(setup)
     gained = cross_fitted(halved or setup, lambda half: search(half, found)[:2])
-    steps, problem = steps_of(found, final, gained), found.said.problem
+    steps = steps_of(found, final, gained)
     shifts = _find_unnamed(found, final)
     open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
     deciding = None if gained is None else gained.select_deciding(_sensors_that_show(final, steps))
@@ -132,11 +132,9 @@ def close_array_loop(
         rejected=(*found.rejected, *refused),
         refuted=tuple(name for name, _ in refused),
         unexplained=tuple(open_ends),
-        scores=scores_of(
-            found.said.problem, found.said.posterior, measure_shown(found.said.problem)
-        ),
+        scores=_last_scores(found),
         first_scores=found.scores,
-        missing=problem.missing,
+        missing=found.said.problem.missing,
         difference=deciding,
         complete=found.said.complete,
         gained=gained,
@@ -145,6 +143,12 @@ def close_array_loop(
         dispersion=dispersion,
         scope=scope,
     )
+
+
+def _last_scores(found: MotionSearch) -> tuple[Score, ...]:
+    """Of the last products."""
+    problem = found.said.problem
+    return scores_of(problem, found.said.posterior, measure_shown(problem))
 
 
 def _sensors_that_show(final: ArrayState, steps: Sequence[Step]) -> set[Channel]:
