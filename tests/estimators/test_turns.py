@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -124,3 +125,20 @@ def test_one_bad_turn_moves_little() -> None:
     fit = fit_turns(spoilt)
     assert fit.weight[5] == fit.weight.min() < 0.2
     assert np.abs(far(fit, made)).max() < 5.0
+
+
+@pytest.mark.parametrize("seed", [6, 7, 8])
+def test_one_bad_rest_moves_little(seed: int) -> None:
+    """Whichever way it is off, also across gravity, where its size is what it should be: it is
+    told apart, or the two turns that meet it are."""
+    made, log = known(seed)
+    good = fit_turns(log)
+    force, push = log.force.copy(), np.random.default_rng(seed).normal(size=3)
+    up = force[7] / np.linalg.norm(force[7])
+    for off in (push, push - up * (up @ push)):
+        force[7] = log.force[7] + 0.04 * off / np.linalg.norm(off)
+        fit = fit_turns(replace(log, force=force))
+        assert min(fit.rest_weight[7], fit.weight[6:8].max()) < 0.01
+        sd = np.sqrt(np.diag(fit.covariance))[:18]
+        assert np.all(sd < 2.5 * np.sqrt(np.diag(good.covariance))[:18])
+        assert np.abs(far(fit, made)).max() < 4.5

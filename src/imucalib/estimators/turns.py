@@ -15,7 +15,8 @@ Menegatti (ICRA 2014) for the turns have it apart, with the covariance of integr
     V = σ² T + q² T³ / 12 + s² + (κ path)²
 
 σ : white noise, q : the walk between two rests that are known, s : a floor, κ : errors that grow
-with the angle turned, both estimated. Turns are Student's with 4 degrees of freedom.
+with the angle turned, both estimated. Errors of turns, and of the forces at rests, are Student's
+with 4 degrees of freedom.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ ACCELEROMETER, GAIN = 9, 9
 ANGLES = 1e-4 * np.array([0.0, *0.5 * 3.0 ** np.arange(6)])
 _EDGES = np.r_[0.0, 0.5e-4 * 3.0 ** (np.arange(6) - 0.5), np.inf]
 ANGLE_PRIOR = np.diff(np.arctan(_EDGES / 3e-4)) * 2.0 / np.pi
-_NU = 4.0  # degrees of freedom of a turn's errors
+_NU = 4.0  # degrees of freedom of the errors of a turn, and of a rest
 #: Known before any reading (data sheets): accelerometer's bias (g), scale and cross terms, gains.
 _BIAS, _SCALE, _CROSS, _GAIN = 0.3, 0.1, 0.02, 0.1
 #: g, of the reading of a rest that takes no part.
@@ -51,7 +52,9 @@ _NOTHING = 1.0
 #: the latter's size is estimated, of those that are weighed, and begins free.
 _AWAKE, _FREE, _SCATTERS = np.radians(0.2), 0.02, np.geomspace(1e-5, 0.3, 48)
 _MOST, _SETTLED = 30, 1e-2  # steps, and standard deviations that the last one may go
-_NOISES = 6  # steps in which the noise is estimated anew
+#: Steps in which the noise is that of careful hands, so that one rest that is off does not pass for
+#: the noise of all, and those up to which it is estimated anew.
+_CAREFUL, _NOISES = 4, 10
 _AT_ONCE = 2048  # samples of which all columns are held at once
 #: rad, floors of a turn that are weighed.
 _FLOORS = np.radians([0.0, *0.005 * 2.0 ** np.arange(11)])
@@ -132,7 +135,7 @@ class LinearisedTurns:
 class TurnFit:
     """A settled fit. covariance : (P, P) in the order accelerometer (bias, `LOWER`), K rows first,
     θ, power-ups, biases, directions; variance : (R,) of every row; used : (T,) turns that took
-    part; weight : (T,) Student's"""
+    part; weight : (T,) Student's, rest_weight : (N,) of what the rests' forces are"""
 
     log: TurnLog
     state: State
@@ -142,6 +145,7 @@ class TurnFit:
     variance: Array
     used: Flags
     weight: Array
+    rest_weight: Array
     laws: Laws | None
     converged: bool
 
@@ -184,20 +188,23 @@ def fit_turns(
     fit = TurnFit(
         log=log,
         state=start,
-        noise=noise or TurnNoise(0.0, 0.0, np.ones(3), 0.0),
+        noise=noise or TurnNoise(_FLOORS[1], 0.0, _walk(log, start, laws), _FLOORS[1]),
         rows=linearise(log, start, laws, prior),
         covariance=np.zeros((0, 0)),
         variance=np.zeros(0),
         used=chosen,
         weight=np.ones(len(log.turns)),
+        rest_weight=np.ones(log.rests),
         laws=laws,
         converged=False,
     )
     for k in range(_MOST):
-        fit, step = _round(fit, prior, held=noise is not None or k >= _NOISES)
+        careful = noise is None and k < _CAREFUL
+        fit, step = _round(fit, prior, held=noise is not None or careful or k >= _NOISES)
         state = _move(fit.state, step)
         fit = replace(fit, state=state, rows=linearise(log, state, laws, prior))
-        if np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance))) < _SETTLED:
+        away = np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance)))
+        if not careful and away < _SETTLED:
             return replace(fit, converged=True)
     return fit
 
@@ -217,7 +224,7 @@ def leave_out(
     last = len(fit.variance) - fit.state.offset.size
     prior = np.sqrt(fit.variance[last - m : last]) if sizes is None else sizes
     found, whole = replace(fit, used=fit.used & ~out), np.zeros(rows.jacobian.shape[1])
-    for _ in range(_NOISES):
+    for _ in range(_NOISES - _CAREFUL):
         moved = replace(rows, residual=rows.residual + rows.jacobian @ whole)
         found, step = _round(replace(found, rows=moved), prior, held=True)
         whole = whole + step
@@ -227,10 +234,11 @@ def leave_out(
 def _round(fit: TurnFit, prior: Array, *, held: bool) -> tuple[TurnFit, Array]:
     """The fit with its noise, unless that is held, its rows' variances and its turns' weights as
     its rows and the covariance before tell them, and the step from there; prior : (m,) sd of θ"""
-    # What a turn is off, squared, over its two numbers: that of its residual, and what the unknowns
-    # may still move it (the E step of Dempster, Laird and Rubin 1977). Directions of rests follow a
-    # turn, so that residuals alone are too small.
-    rows, own, noise = fit.rows, 2 * fit.rows.turns, fit.noise
+    # What a turn is off, squared, over its two numbers, and a rest over its three: that of its
+    # residual, and what the unknowns may still move it (the E step of Dempster, Laird and Rubin
+    # 1977). Directions of rests follow a turn, so that residuals alone are too small.
+    rows, noise, turns = fit.rows, fit.noise, 2 * fit.rows.turns
+    own = turns + 3 * fit.log.rests
     square = rows.residual[:own] ** 2
     if fit.covariance.size:
         jacobian = rows.jacobian[:own]
@@ -238,16 +246,30 @@ def _round(fit: TurnFit, prior: Array, *, held: bool) -> tuple[TurnFit, Array]:
     if not held:
         noise = _estimate_noise(fit, prior)
     variance = variances(fit.log, noise, prior)
-    # Of Student's distribution, over a turn's two numbers together.
-    weight = (_NU + 2.0) / (_NU + square.reshape(-1, 2).sum(axis=1) / variance[:own:2])
+    square = square / variance[:own]
+    weight = _student(square[:turns].reshape(-1, 2))
+    rest_weight = _student(square[turns:].reshape(-1, 3))
     inverse = 1.0 / variance
-    inverse[:own] *= np.repeat(np.where(fit.used, weight, 0.0), 2)
+    inverse[:turns] *= np.repeat(np.where(fit.used, weight, 0.0), 2)
+    inverse[turns:own] *= np.repeat(rest_weight, 3)
     weighed = rows.jacobian.multiply(inverse[:, None]).tocsr()
     normal = (rows.jacobian.T @ weighed).toarray()
     scale = 1.0 / np.sqrt(np.diag(normal))
     covariance = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
-    found = replace(fit, noise=noise, covariance=covariance, variance=variance, weight=weight)
+    found = replace(
+        fit,
+        noise=noise,
+        covariance=covariance,
+        variance=variance,
+        weight=weight,
+        rest_weight=rest_weight,
+    )
     return found, -covariance @ (weighed.T @ rows.residual)
+
+
+def _student(square: Array) -> Array:
+    """(n,) weights of what is off by squares (n, k) in units of its variance."""
+    return np.asarray((_NU + square.shape[1]) / (_NU + square.sum(axis=1)))
 
 
 def tangents(up: Array) -> Array:
@@ -347,7 +369,7 @@ def _rest_rows(
         force[each, :, apart + 3 * log.session + axis] = -state.lower[:, axis]
     for column, (i, j) in enumerate(LOWER):
         force[:, i, 3 + column] = away[:, j]
-    columns = _at_rest(log, state, laws)
+    columns = rate_columns(log, state, laws)
     rate[:, :, first:apart] = columns
     for axis in range(3):
         rate[each, axis, walk + 3 * each + axis] = 1.0
@@ -375,20 +397,7 @@ def away_from_nominal(state: State) -> Array:
     return np.concatenate([state.bias, lower, gain, state.theta, offset])
 
 
-def without_laws(fit: TurnFit) -> TurnLog:
-    """The log as it would read without the laws of a fit."""
-    log, state, turns = fit.log, fit.state, []
-    for turn in log.turns:
-        seen, _ = remove_bias(log, state.drift, turn)
-        force = state.force(turn.force, log.session[turn.rest])
-        true, _ = exposure(state, seen, force, turn, fit.laws)
-        turns.append(replace(turn, rate=turn.rate - (seen - true)))
-    still = log.rate - _at_rest(log, state, fit.laws) @ state.theta
-    force = log.force - force_columns(state, fit.laws) @ state.theta
-    return replace(log, rate=still, force=force, turns=tuple(turns))
-
-
-def _at_rest(log: TurnLog, state: State, laws: Laws | None) -> Array:
+def rate_columns(log: TurnLog, state: State, laws: Laws | None) -> Array:
     """(N, 3, m) the laws' columns at the rests, where nothing turns."""
     if laws is None or not state.theta.size:
         return np.zeros((log.rests, 3, 0))
@@ -472,6 +481,8 @@ def _estimate_noise(fit: TurnFit, prior: Array) -> TurnNoise:
     shared = np.append(np.arange(state.first_drift), fit.rows.jacobian.shape[1])
     weight = np.where(used, fit.weight, 0.0) / points
     every = variances(log, noise, prior)
+    start = 2 * fit.rows.turns
+    every[start : start + 3 * log.rests] /= np.repeat(fit.rest_weight, 3)
     corner, logs = eliminate_rests(fit.rows, log, every, shared, weight)
     root = np.linalg.cholesky(corner[:, :-1, :-1])
     known = np.linalg.solve(root, corner[:, :-1, -1:])[..., 0]
@@ -521,7 +532,7 @@ def _walk(log: TurnLog, state: State, laws: Laws | None) -> Array:
     is always left, for a median of few may be anything."""
     if not log.linked.any():
         return np.full(3, 1e-9)
-    own = log.rate - _at_rest(log, state, laws) @ state.theta
+    own = log.rate - rate_columns(log, state, laws) @ state.theta
     change = np.diff(own, axis=0)[log.linked] ** 2
     noise = (log.rate_sd[1:] ** 2 + log.rate_sd[:-1] ** 2)[log.linked]
     apart = np.diff(log.time)[log.linked][:, None]
@@ -558,7 +569,9 @@ def _scatter(fit: TurnFit) -> float:
     laws = np.einsum("ni,nim->nm", up @ state.lower, own)
     slopes = np.column_stack([biases, *(up[:, i] * away[:, j] for i, j in LOWER), laws])
     known = np.isfinite(log.force_sd)
-    slopes, left = slopes[known][:, slopes.any(axis=0)], (1.0 - size)[known]
+    heavy = np.sqrt(fit.rest_weight[known])
+    slopes = heavy[:, None] * slopes[known][:, slopes.any(axis=0)]
+    left = heavy * (1.0 - size)[known]
     basis = np.linalg.qr(slopes)[0]
     off = left - basis @ (basis.T @ left)
     whole = float(off @ off) / max(left.size - slopes.shape[1], 1)

@@ -7,18 +7,23 @@ each log says that they are no one calibration (another temperature, another chi
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.estimators.power_ups import Parts, parts_of, weigh_moved
+from imucalib.estimators.turn_log import TurnLog, remove_bias
 from imucalib.estimators.turns import (
     ACCELEROMETER,
     GAIN,
     LOWER,
     TurnFit,
     away_from_nominal,
+    exposure,
     fit_turns,
-    without_laws,
+    force_columns,
+    rate_columns,
 )
 from imucalib.posterior.odds import FALSE_CLAIM
 from imucalib.significant_digits import per_cent
@@ -40,13 +45,26 @@ def products_of(fit: TurnFit) -> tuple[Array, Array]:
     """(L, 18, 18) and (L, 18): what each log alone says of accelerometer and gains beside nominal
     ones, what was known before taken off and other effects held."""
     known = np.diag(fit.variance[-fit.state.first_drift :][:_FIXED] ** -1.0)
-    log, information, vector = without_laws(fit), [], []
+    log, information, vector = _drop_laws(fit), [], []
     for k in range(log.sessions):
         own = fit_turns(log.of_session(k))
         whole = np.linalg.inv(own.covariance[:_FIXED, :_FIXED])
         information.append(whole - known)
         vector.append(whole @ away_from_nominal(own.state)[:_FIXED])
     return np.array(information), np.array(vector)
+
+
+def _drop_laws(fit: TurnFit) -> TurnLog:
+    """The log of a fit as it would read without the laws."""
+    log, state, turns = fit.log, fit.state, []
+    for turn in log.turns:
+        seen, _ = remove_bias(log, state.drift, turn)
+        force = state.force(turn.force, log.session[turn.rest])
+        true, _ = exposure(state, seen, force, turn, fit.laws)
+        turns.append(replace(turn, rate=turn.rate - (seen - true)))
+    still = log.rate - rate_columns(log, state, fit.laws) @ state.theta
+    force = log.force - force_columns(state, fit.laws) @ state.theta
+    return replace(log, rate=still, force=force, turns=tuple(turns))
 
 
 def describe_differing(

@@ -176,7 +176,7 @@ class TurnTerms:
             noise = replace(self.fit.noise, force=force)
             every = variances(log, noise, np.zeros(self.fit.state.theta.size))
             start = 2 * len(log.turns)
-            own = every[start : start + 3 * log.rests]
+            own = every[start : start + 3 * log.rests] / np.repeat(self.fit.rest_weight, 3)
             f, g = self.rows.force[kept], self.rows.rate[kept]
             whole = f @ f.multiply(own).T + g @ g.multiply(log.rate_sd.ravel() ** 2).T
             self._bands[force] = _lower_band(sparse.coo_array(whole), self.rows.walk[kept])
