@@ -124,17 +124,19 @@ def _picture(run: ImuRun) -> Plot:
 
 
 def _turns(run: ImuRun) -> Table:
-    log, held, weight = run.result.imu.turns, run.result.held_out.turns, run.result.fit.weight
-    spans = zip(log.turns, log.spans[2], held.raw, held.base, held.final, weight, strict=True)
+    log, held, fit = run.result.imu.turns, run.result.held_out.turns, run.result.fit
+    spans = zip(log.turns, log.spans[2], held.raw, held.base, held.final, fit.weight, strict=True)
     rows = []
-    for turn, path, *off, w in spans:
+    for turn, path, *off, weight in spans:
         where = (str(turn.rest + 1), f"{turn.t[0]:.1f}", f"{path / DEG:.0f}")
-        rows.append((*where, *map(number, off, (2, 3, 3)), number(w)))
-    header = ("turn", "from, s", "path, deg", "as read", "base", "final", "weight")
+        weights = map(number, (weight, float(fit.rest_weight[turn.rest + 1])))
+        rows.append((*where, *map(number, off, (2, 3, 3)), *weights))
+    header = ("turn", "from, s", "path, deg", "as read", "base", "final", "weight", "of rest")
     note = (
-        "deg by which gravity is off after a turn that took no part; weight in the fit, 1.5 most."
+        "deg by which gravity is off after a turn that took no part; weights in the fit, of the "
+        "turn (1.5 at most) and of the rest that ends it (1.75)."
     )
-    return Table("Turns held out", header, tuple(rows), "rrrrrrr", note)
+    return Table("Turns held out", header, tuple(rows), "r" * len(header), note)
 
 
 def compose_hand_plan_document(plan: HandPlan) -> Document:
