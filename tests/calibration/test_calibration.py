@@ -15,8 +15,14 @@ import pytest
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.file import VERSION, as_dict, check, from_dict, read, to_yaml, write
 from imucalib.calibration.findings import Findings
-from imucalib.calibration.outcome import ErrorSummary, Gate, HeldOutError, Outcome, list_open
-from imucalib.calibration.provenance import provenance_of
+from imucalib.calibration.outcome import (
+    ErrorSummary,
+    Gate,
+    HeldOutError,
+    Outcome,
+    list_open,
+    provenance_of,
+)
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit, StoredParameter

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.plain import fields
 from imucalib.calibration.triads import Triad
 from imucalib.calibration.uncertainty import force_slopes, select_correctable
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit, StoredParameter
 from imucalib.core.model import Model
+from imucalib.data import fields
 from imucalib.effects import known
 from imucalib.effects.record_error import is_record_error
 from imucalib.errors import UnreadableInput, UsageError

@@ -45,39 +45,15 @@ _SUM = "# imucal calibration, sha256 of the lines below: "
 #: What to do about a file that is no calibration.
 _GIVE = "give the calibration.yaml that a calibrating command wrote, before any recording"
 #: Keys that a file has; all others are facts for people.
-_KEYS = {
-    "schema",
-    "version",
-    "calibrator",
-    "status",
-    "reasons",
-    "formula",
-    "raw",
-    "gravity_m_per_s2",
-    "parameters",
-    "covariance",
-    "matrices",
-    "triads",
-    "valid",
-    "sensor",
-}
+_KEYS = (
+    "schema version calibrator status reasons formula raw gravity_m_per_s2 parameters covariance "
+    "matrices triads valid sensor"
+)
 #: Keys whose values are names, wherever they stand.
-_NAMES = {
-    "name",
-    "imu",
-    "triad",
-    "effect",
-    "effects",
-    "stage",
-    "unit",
-    "calibrator",
-    "status",
-    "channel",
-    "quantity",
-    "names",
-    "device",
-    "serial",
-}
+_NAMES = (
+    "name imu triad effect effects stage unit calibrator status channel quantity names device "
+    "serial"
+)
 
 
 def to_yaml(calibration: Calibration) -> str:
@@ -197,8 +173,9 @@ def _inside(block: Any, above: str = "") -> Iterator[tuple[str, str, Any]]:
 
 def _check_names(content: Mapping[str, Any], where: str) -> None:
     """Raise UnreadableInput for a name that could be taken for code where it is exported to."""
+    keys = _NAMES.split()
     for place, key, value in _inside(content):
-        values = (value if isinstance(value, list | tuple) else [value]) if key in _NAMES else []
+        values = (value if isinstance(value, list | tuple) else [value]) if key in keys else []
         for name in (key, *(v for v in values if isinstance(v, str))):
             if why := fault(name):
                 raise UnreadableInput(
@@ -224,7 +201,7 @@ def _calibration(content: dict[str, Any]) -> Calibration:
         status=str(content["status"]),
         reasons=tuple(content["reasons"]),
         valid={name: (float(a), float(b)) for name, (a, b) in content["valid"].items()},
-        facts={name: block for name, block in content.items() if name not in _KEYS},
+        facts={name: block for name, block in content.items() if name not in _KEYS.split()},
         triads=tuple(triad_from(block) for block in content.get("triads", ())),
         sensor=identity_from(content["sensor"]),
     )

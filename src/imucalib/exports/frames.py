@@ -1,13 +1,17 @@
-"""Frames of an array, as ROS names them: where each lies in the board, and how it is turned."""
+"""Frames of an array, as ROS names them: where each lies in the board, and how it is turned. URDF,
+and static transforms for ROS 2."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from shlex import quote
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
+from imucalib.exports import Export, Made
 from imucalib.exports.imus import imus_of
 
 BOARD = "board"
@@ -28,6 +32,66 @@ class ImuFrame:
     turn: Array
 
 
+def ros2_static(calibration: Calibration, filename: str) -> Made:
+    """A static_transform_publisher of tf2_ros a frame, from the board to it: x, y, z in m, and the
+    quaternion that turns the frame's axes into the board's. Raises as `imus_of`."""
+    frames = frames_of(calibration, "ros2-static")
+    lines = [
+        '<?xml version="1.0"?>',
+        f"<!-- {in_comment(calibration, filename)} -->",
+        "<launch>",
+        *map(_node, frames),
+        "</launch>",
+        "",
+    ]
+    return Made("\n".join(lines), LOST)
+
+
+def _node(frame: ImuFrame) -> str:
+    from scipy.spatial.transform import Rotation
+
+    numbers = (*frame.place, *Rotation.from_matrix(frame.turn).as_quat())
+    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    given = " ".join(f"--{n} {v:.9g}" for n, v in zip(names, numbers, strict=True))
+    arguments = f"{given} --frame-id {BOARD} --child-frame-id {quote(frame.name)}"
+    return (
+        f'  <node pkg="tf2_ros" exec="static_transform_publisher" '
+        f"name={quoteattr(f'{BOARD}_to_{frame.name}')} args={quoteattr(arguments)}/>"
+    )
+
+
+def urdf(calibration: Calibration, filename: str) -> Made:
+    """A link a frame, joined to the board: xyz in m, rpy in rad about the fixed axes x, y and z.
+    Raises as `imus_of`."""
+    frames = frames_of(calibration, "urdf")
+    lines = [
+        '<?xml version="1.0"?>',
+        f"<!-- {in_comment(calibration, filename)} -->",
+        '<robot name="imu_array">',
+        f'  <link name="{BOARD}"/>',
+        *map(_join, frames),
+        "</robot>",
+        "",
+    ]
+    return Made("\n".join(lines), LOST)
+
+
+def _join(frame: ImuFrame) -> str:
+    from scipy.spatial.transform import Rotation
+
+    angles = Rotation.from_matrix(frame.turn).as_euler("xyz")
+    xyz, rpy = (" ".join(f"{v:.9g}" for v in values) for values in (frame.place, angles))
+    name, joint = quoteattr(frame.name), quoteattr(f"{frame.name}_joint")
+    return (
+        f"  <link name={name}/>\n"
+        f'  <joint name={joint} type="fixed">\n'
+        f'    <parent link="{BOARD}"/>\n'
+        f"    <child link={name}/>\n"
+        f'    <origin xyz="{xyz}" rpy="{rpy}"/>\n'
+        "  </joint>"
+    )
+
+
 def frames_of(calibration: Calibration, form: str) -> tuple[ImuFrame, ...]:
     """Two an IMU, and that of the virtual IMU. Raises as `imus_of`."""
     imus = imus_of(calibration, form)
@@ -43,3 +107,7 @@ def in_comment(calibration: Calibration, filename: str) -> str:
     """What an XML file says of itself: two hyphens would end the comment."""
     said = f"Frames of an array by imucal, from {filename}, status {calibration.status}. {WHAT}."
     return said.replace("--", "- -").replace("--", "- -")
+
+
+ROS2_STATIC = Export("ros2-static", "static_transforms.launch.xml", ros2_static)
+URDF = Export("urdf", "imu_array.urdf", urdf)

@@ -65,14 +65,14 @@ def lab_document(run: LabRun) -> Document:
         _parameter_section(run),
         sections.kind_section(kind, result.final, result.kind_chance, "position"),
         _bench_section(run),
-        sessions_section(run.sessions),
+        sessions_section(run.details.between_sessions),
         temperature_section(run.calibration),
         _dial_section(run),
         sections.sensor_section(run.calibration),
         _uncertainty_section(run),
         Section("Positions", (_position_table(run),)),
     )
-    title = f"Lab calibration of {run.outcome.provenance.path}"
+    title = f"Lab calibration of {run.outcome.provenance.input}"
     plots = (*others, _attitude_map(run))
     card = _card(run, picture)
     return sections.calibration_document(title, run, card, residuals=plots, rest=rest)
@@ -92,11 +92,11 @@ def _card(run: LabRun, picture: Plot) -> Card:
     """Errors on positions held out, angles at the worst attitude."""
     metric = "vector" if _knows_angles(run) else run.outcome.error.metric.partition(",")[0]
     like = ("attitudes", coverage(run.result.final.observations.reading[:, 0]))
-    left_out = "positions" if run.sessions is None else "power-ups"
+    left_out = "positions" if run.details.between_sessions is None else "power-ups"
     good = [sections.error_worth(run.outcome.error, metric, left_out, like)]
     if run.result.observations.reference.directed:
         good.append(_worst(run))
-    good += power_up_worths(run.sessions)
+    good += power_up_worths(run.details.between_sessions)
     if _knows_angles(run):
         good += _angles(run)
     if run.request.gravity_assumed:
@@ -111,7 +111,7 @@ def _card(run: LabRun, picture: Plot) -> Card:
 def _worst(run: LabRun) -> Worth:
     """The corrected vector where the calibration knows it least."""
     fit, directions = run.result.final, even_directions()
-    slope, _ = force_slope(fit, run.request.gravity * directions[:, None])
+    slope, _ = force_slope(fit, run.request.gravity * directions)
     variance = np.einsum("nip,pq,niq->n", slope, fit.covariance, slope)
     sd = np.sqrt(np.maximum(variance, 0.0)) / MG
     return sections.worst_attitude("vector", sd, directions, "calibration only, ")

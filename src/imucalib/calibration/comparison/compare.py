@@ -16,7 +16,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -33,26 +32,22 @@ from imucalib.calibration.checking.noise import (
 )
 from imucalib.calibration.comparison.agreement import (
     Agreement,
-    ParameterScatter,
-    agreement,
-    excess,
-    fit_line,
-    kind_of,
-    scatter,
-    suspect,
-)
-from imucalib.calibration.comparison.basis import (
     Basis,
     DirectionErrors,
+    ParameterScatter,
     PowerUps,
     Worst,
+    agreement,
     basis_of,
     direction_errors,
+    kind_of,
+    scatter,
     worst_pair,
     worst_size,
     worst_turn,
 )
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UnreadableInput, UsageError
+from imucalib.estimators.power_ups import excess, fit_line
 from imucalib.posterior.closed_loop.changes import NOISE
 from imucalib.units import DEG, MG
 
@@ -84,7 +79,7 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
                 f"{len(stated)} dates for {len(calibrations)} calibrations",
                 remedy="give one a file, in their order: --dates 2026-01-31,2026-07-31",
             )
-        found = _dates([_parse_limit(text) for text in stated], "dates as given")
+        found = _dates([_parse_date(text) for text in stated], "dates as given")
         if found is None:
             raise UsageError(
                 "all dates are the same: nothing can drift between them",
@@ -96,7 +91,7 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
         known = [datetime.fromtimestamp(s / 1e9, UTC) for s in starts if s is not None]
         return _dates(known, "dates as the recordings have them")
     runs = [(c.facts.get("provenance") or {}).get("time") for c in calibrations]
-    when = [_parse_limit(r) for r in runs if isinstance(r, str)]
+    when = [_parse_date(r) for r in runs if isinstance(r, str)]
     if len(when) < len(runs):
         return None
     found = _dates(
@@ -106,7 +101,7 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
     return found if found is not None and np.ptp(found.days) >= _APART else None
 
 
-def _parse_limit(text: str) -> datetime:
+def _parse_date(text: str) -> datetime:
     try:
         found = datetime.fromisoformat(text.strip())
     except ValueError:
@@ -379,15 +374,9 @@ class Comparison:
     def differing(self) -> Mapping[str, float]:
         """Probability of each kind of parameters that it differs, in any file, and of a scatter
         beyond what is stated."""
-        answer, found = self.agreement.answer, dict[str, float]()
-        for kind in dict.fromkeys(map(kind_of, self.basis.names)):
-            own = {suspect(kind, k) for k in range(len(self.names))}
-            found[kind] = answer.probability_that(partial(_share, own))
+        kinds = dict.fromkeys(map(kind_of, self.basis.names))
+        found = {kind: self.agreement.differs_in(kind) for kind in kinds}
         return {**found, "scatter": self.agreement.answer.of(NOISE)}
-
-
-def _share(some: set[str], names: tuple[str, ...]) -> bool:
-    return bool(some & set(names))
 
 
 def compare(
@@ -406,7 +395,8 @@ def compare(
     """
     arrays = _demand(calibrations, names)
     framed = arrays or len({is_mounted(c) for c in calibrations}) == 1
-    dof = np.array([_dof(c) for c in calibrations])
+    # Of each covariance's scale, by the noise that its file states.
+    dof = np.array([check_noise(c).reading.dof for c in calibrations])
     if arrays and between:
         raise UsageError(
             "arrays are compared without the scatter of power-ups",
@@ -469,14 +459,6 @@ def _demand(calibrations: Sequence[Calibration], names: Sequence[str]) -> bool:
 
 def _sensors(imus: tuple[str, ...]) -> str:
     return f"an array of {len(imus)} IMUs ({', '.join(imus)})" if imus else "one accelerometer"
-
-
-def _dof(calibration: Calibration) -> float:
-    """Degrees of freedom of the covariance's scale, by the noise that the file states."""
-    try:
-        return check_noise(calibration).reading.dof
-    except UnreadableInput:
-        return math.inf
 
 
 def _drift(
