@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -40,6 +40,15 @@ LINEAR = ("mounting", "bias", "scale", "non_orthogonality")
 def where_assumed(covariate: str) -> str:
     """In words, where in what was calibrated a covariate acts that was not recorded."""
     return "at the end" if covariate in PASSING else "in the middle"
+
+
+def lacking(effect: str, names: Sequence[str], where: str = "") -> UnreadableInput:
+    """The error of an effect whose covariates a recording lacks. where : the recording's path"""
+    return UnreadableInput(
+        f"effect {effect} needs {', '.join(names)}, which the recording lacks",
+        where=where,
+        remedy=f"record it, or calibrate with --without {effect}",
+    )
 
 
 @dataclass(frozen=True)
@@ -249,12 +258,8 @@ class Calibration:
         model, theta = self.model()
         known = context or Context(len(flat))
         for effect in model.effects:
-            absent = [name for name in effect.needs if name not in known]
-            if absent:
-                raise UnreadableInput(
-                    f"effect {effect.name} needs {', '.join(absent)}, which the recording lacks",
-                    remedy="record it, or calibrate with --without " + effect.name,
-                )
+            if absent := [name for name in effect.needs if name not in known]:
+                raise lacking(effect.name, absent)
         force = model.correct(theta, flat[:, None], known)[:, 0]
         return np.asarray(force / size).reshape(values.shape)
 

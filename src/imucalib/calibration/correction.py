@@ -15,7 +15,7 @@ from itertools import chain, product
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, where_assumed
+from imucalib.calibration.calibration import Calibration, lacking, where_assumed
 from imucalib.calibration.file import identity
 from imucalib.calibration.gyroscope import correct_rates, gyroscope_of
 from imucalib.calibration.series import part_at, parts_of
@@ -237,12 +237,7 @@ class Corrector:
                 if not lost:
                     continue
                 if unknown := [name for name in lost if name not in valid]:
-                    names = ", ".join(unknown)
-                    raise UnreadableInput(
-                        f"effect {effect.name} needs {names}, which the recording lacks",
-                        where=recording.path,
-                        remedy="record it, or calibrate with --without " + effect.name,
-                    )
+                    raise lacking(effect.name, unknown, recording.path)
                 size = _swing(effect, theta[slices[effect.name]], self._calibration, lost)
                 self._held[_describe_held(effect.name, lost, valid, size)] = None
         usual = self._calibration.assume

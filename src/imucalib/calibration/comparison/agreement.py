@@ -137,13 +137,19 @@ def worst_size(found: DirectionErrors) -> Worst:
 
 def worst_turn(found: DirectionErrors) -> Worst:
     """Of the direction, over all pairs and attitudes; sd along the difference."""
-    turn = found.turn
+    worst, at = worst_vector(found.turn, found.turn_covariance, "deg")
+    return replace(worst, attitude=found.attitude[at])
+
+
+def worst_vector(vectors: Array, covariance: Array, unit: str) -> tuple[Worst, int]:
+    """Of vectors (m, n, k) with covariances (m, n, k, k), over all pairs, its sd and its attitude
+    along the difference; and which of the n it is."""
     pair, value, at = worst_pair(
-        len(turn), lambda i, j: np.asarray(np.linalg.norm(turn[j] - turn[i], axis=1))
+        len(vectors), lambda i, j: np.asarray(np.linalg.norm(vectors[j] - vectors[i], axis=1))
     )
-    along = (turn[pair[1], at] - turn[pair[0], at]) / max(value, 1e-300)
-    both = found.turn_covariance[list(pair), at].sum(axis=0)
-    return Worst(pair, value, float(np.sqrt(along @ both @ along)), "deg", found.attitude[at])
+    along = (vectors[pair[1], at] - vectors[pair[0], at]) / max(value, 1e-300)
+    both = covariance[list(pair), at].sum(axis=0)
+    return Worst(pair, value, float(np.sqrt(along @ both @ along)), unit, along), at
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,7 @@ from imucalib.calibration.comparison.agreement import (
     worst_pair,
     worst_size,
     worst_turn,
+    worst_vector,
 )
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UnreadableInput, UsageError
 from imucalib.estimators.power_ups import excess, fit_line
@@ -249,14 +250,11 @@ def array_meanings(
 def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> Worst:
     """The IMU whose position differs most."""
     places = basis.value.reshape(len(calibrations), -1, 3)
-    pair, value, k = worst_pair(
-        len(places), lambda i, j: np.asarray(np.linalg.norm(places[j] - places[i], axis=1))
-    )
-    own = basis.covariance[list(pair), 3 * k : 3 * k + 3, 3 * k : 3 * k + 3].sum(axis=0)
-    along = (places[pair[1], k] - places[pair[0], k]) / max(value, 1e-300)
-    sd = float(np.sqrt(along @ own @ along))
-    name = calibrations[0].triads[k + 1].name
-    return Worst(pair, value, sd, "mm", along, sensor=name, limit=limit)
+    m, imus = places.shape[:2]
+    each = basis.covariance.reshape(m, imus, 3, imus, 3)
+    own = np.stack([each[:, k, :, k] for k in range(imus)], axis=1)
+    worst, k = worst_vector(places, own, "mm")
+    return replace(worst, sensor=calibrations[0].triads[k + 1].name, limit=limit)
 
 
 @dataclass(frozen=True)

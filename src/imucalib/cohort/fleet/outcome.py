@@ -10,6 +10,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.comparison.agreement import kind_of
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
 from imucalib.cohort.fleet.search import FleetEffect, Priors, Search
@@ -288,7 +289,7 @@ def group_alike(names: Sequence[str]) -> list[list[int]]:
     """Numbers of the parameters that are alike: "bias_x" with "bias_y" and "bias_z"."""
     kinds = dict[str, list[int]]()
     for k, name in enumerate(names):
-        kinds.setdefault(name.rpartition("_")[0] or name, []).append(k)
+        kinds.setdefault(kind_of(name), []).append(k)
     return list(kinds.values())
 
 

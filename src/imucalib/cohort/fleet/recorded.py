@@ -275,7 +275,7 @@ class Wanted:
     devices: Path | None = None
     command: str = ""
 
-    def stated(self) -> dict[str, object]:
+    def describe_settings(self) -> dict[str, object]:
         """The settings as provenance keeps them."""
         return {
             "only": list(self.only),
@@ -314,7 +314,7 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
         difference=_gain(own, said) if said and said.found else None,
         calibrator=usable[0].calibration.calibrator,
         command=wanted.command,
-        settings=wanted.stated(),
+        settings=wanted.describe_settings(),
         following=_following(usable, spreads, said),
         notes=_notes(found, usable, own),
     )
