@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -286,10 +285,6 @@ class Calibration:
 
     def matrices(self) -> Matrices:
         """M, b and S, c of the linear part, with intrinsic scales and angles."""
-        return self._matrices
-
-    @cached_property
-    def _matrices(self) -> Matrices:
         model, theta = self.model()
         return matrices(model, theta, self.covariance_of(model))
 

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.arrays import Array
 from imucalib.atomic_file import replace_together
 from imucalib.calibration.calibration import UNSETTLED, Calibration
 from imucalib.calibration.triads import effect_covariance, triad_from
@@ -216,7 +215,14 @@ def parameter_from(block: Mapping[str, Any]) -> StoredParameter:
 def check(calibration: Calibration, where: str) -> None:
     """Raise UnreadableInput unless the content makes sense: a covariance, an invertible model."""
     for covariance in (calibration.covariance, *(t.covariance for t in calibration.triads)):
-        _demand_covariance(covariance, where)
+        if not np.isfinite(covariance).all() or not np.allclose(
+            covariance, covariance.T, rtol=1e-6
+        ):
+            raise UnreadableInput("the covariance is not finite and symmetric", where=where)
+        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        size = np.where(sd > 0.0, sd, 1.0)
+        if np.linalg.eigvalsh(covariance / np.outer(size, size)).min(initial=0.0) < -1e-6:
+            raise UnreadableInput("the covariance is not positive", where=where)
     own = np.sqrt(np.maximum(np.diag(calibration.covariance), 0.0))
     if not np.allclose(own, [p.sd for p in calibration.parameters], rtol=1e-6, atol=1e-12):
         raise UnreadableInput("the standard deviations contradict the covariance", where=where)
@@ -226,13 +232,3 @@ def check(calibration: Calibration, where: str) -> None:
     gains += [model.predict(theta, np.zeros((1, 1, 3)), Context(1, zeros)).d_truth[0, 0]]
     if min(abs(np.linalg.det(gain)) for gain in gains) < 1e-3:
         raise UnreadableInput("the calibration cannot be inverted", where=where)
-
-
-def _demand_covariance(covariance: Array, where: str) -> None:
-    """Raise UnreadableInput for a matrix that is none."""
-    if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6):
-        raise UnreadableInput("the covariance is not finite and symmetric", where=where)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    size = np.where(sd > 0.0, sd, 1.0)
-    if np.linalg.eigvalsh(covariance / np.outer(size, size)).min(initial=0.0) < -1e-6:
-        raise UnreadableInput("the covariance is not positive", where=where)

@@ -157,17 +157,9 @@ class Undo:
             self._offset = self._offset - self._delta(effect, np.zeros((1, 3)), Context(1))[0]
             return
         for axis in range(3):
-            values = self._along(effect, axis)
+            values = self._rest(effect, self._grid[:, None] * np.eye(3)[axis])
             for out in np.flatnonzero(np.abs(values).max(axis=0) > _SMALL):
                 self._tables.append((axis, int(out), _Table(self._grid, values[:, out].copy())))
-
-    def _along(self, effect: Effect, axis: int) -> Array:
-        """(grid, 3) beyond first order along one axis."""
-        parts = [
-            self._rest(effect, self._grid[start : start + _ROWS, None] * np.eye(3)[axis])
-            for start in range(0, len(self._grid), _ROWS)
-        ]
-        return np.concatenate(parts)
 
 
 def _grid() -> Array:

@@ -218,10 +218,10 @@ def _judge(one: Measured, matters: Mapping[str, float], among: int) -> SensorChe
     answer = question.answer()
     told = [name for name in answer.likeliest.names if name in FAMILIES]
     sizes = {}
-    for k, (name, unit) in enumerate(one.misfits.kinds(matters)):
+    for k, (name, columns) in enumerate(one.misfits.changes.items()):
         beside = [one.misfits.changes[n] for n in told if n != name]
-        value, sd = question.size_of(one.misfits.changes[name], beside)
-        sizes[name] = ChangeSize(value, sd, unit * question.find_detectable(k))
+        value, sd = question.size_of(columns, beside)
+        sizes[name] = ChangeSize(value, sd, matters[name] * question.find_detectable(k))
     alarm = question.false_alarm()
     return SensorCheck(one.name, one.misfits, answer, sizes, alarm, one.gyro)
 
@@ -283,8 +283,8 @@ def _find_detectable(
 ) -> dict[str, float]:
     """The change of each limited kind that would be told."""
     question = change_question(misfits, matters)
-    kinds = enumerate(misfits.kinds(matters))
-    return {name: unit * question.find_detectable(k) for k, (name, unit) in kinds if name in limits}
+    kinds = enumerate(misfits.changes)
+    return {n: matters[n] * question.find_detectable(k) for k, n in kinds if n in limits}
 
 
 def _many(
