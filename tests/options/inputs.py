@@ -186,6 +186,7 @@ TABLES: dict[str, Make] = {
     "bench.csv": sheet(_same),
     "aligned.csv": _aligned,
     "first12.csv": sheet(lambda r: r[:12]),
+    "thrice.csv": sheet(lambda r: np.tile(r, (3, 1))),
     "without3and8.csv": sheet(lambda r: np.delete(r, [2, 7], axis=0)),
     "angles.csv": sheet(lambda r: r[:, :2], "inclination,tool_face"),
     "faces.csv": _faces,

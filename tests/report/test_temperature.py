@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucalib.core.fit import StoredParameter
-from imucalib.report.conditions import temperature_section
+from imucalib.report.conditions import compose_temperature_section
 from imucalib.report.render.document import Table
 from worlds.stated import stated
 
@@ -29,7 +29,7 @@ def rows_of(table: Table) -> np.ndarray:
 def test_bias_and_scale_are_those_of_the_law_with_its_interval() -> None:
     sd = np.repeat([0.5, 1e-4, 0.02, 0.01], 3)
     calibration = stated(VALUES, np.diag(sd**2), valid={"temperature": SPAN})
-    bias, scale = (rows_of(t) for t in temperature_section(calibration).blocks)
+    bias, scale = (rows_of(t) for t in compose_temperature_section(calibration).blocks)
     assert bias[:, 0].tolist() == [5.0, 15.0, 25.0, 35.0, 45.0]
     away = bias[:, :1] - 25.0
     own, slope = (np.array(VALUES[n]) for n in ("bias", "temperature_bias"))
@@ -58,7 +58,7 @@ def test_a_rate_has_its_own_table() -> None:
     parameters = (*whole.parameters, *more)
     sd = np.array([p.sd for p in parameters])
     made = replace(whole, parameters=parameters, covariance=np.diag(sd**2))
-    (table,) = temperature_section(made).blocks
+    (table,) = compose_temperature_section(made).blocks
     seen = rows_of(table)
     away = seen[:, :1] - 25.0
     assert seen[:, 1::2] == pytest.approx(np.array(bias) + np.array(slope) * away, abs=0.02)
@@ -67,4 +67,4 @@ def test_a_rate_has_its_own_table() -> None:
 
 def test_nothing_follows_the_temperature() -> None:
     plain = stated({n: VALUES[n] for n in ("bias", "scale")}, valid={"temperature": SPAN})
-    assert temperature_section(plain).blocks == ()
+    assert compose_temperature_section(plain).blocks == ()

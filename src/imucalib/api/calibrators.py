@@ -182,7 +182,7 @@ def lab(
     """
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
     from imucalib.core.angle_conventions import preset
-    from imucalib.report.lab import lab_document
+    from imucalib.report.lab import compose_lab_document
 
     named = options.get("convention")
     wanted, mapping, say = _apply_options(
@@ -198,7 +198,7 @@ def lab(
     with _as_file(first, _TABLE) as file:
         files = LabFiles(file, log, options.get("columns") or {}, mapping, others=others)
         run = calibrate_files(files, wanted, say)
-    return Result(run, lab_document(run))
+    return Result(run, compose_lab_document(run))
 
 
 def actigraph(
@@ -209,12 +209,12 @@ def actigraph(
     recording : a file, a DataFrame, or an array (n, 4) of time (s), x, y, z, or (n, 3) with `rate`
     """
     from imucalib.calibrators.actigraph.run import calibrate_recording
-    from imucalib.report.actigraph import actigraph_document
+    from imucalib.report.actigraph import compose_actigraph_document
 
     wanted, mapping, say = _apply_options(request or ActigraphRequest(), options)
     with _as_file(recording, _RECORDING) as file:
         run = calibrate_recording(file, mapping, wanted, say)
-    return Result(run, actigraph_document(run))
+    return Result(run, compose_actigraph_document(run))
 
 
 def array(
@@ -231,13 +231,13 @@ def array(
     samples : moving samples that are used, at most
     """
     from imucalib.calibrators.array.calibrate import calibrate_array
-    from imucalib.report.array import array_document
+    from imucalib.report.array import compose_array_document
 
     drawn = board if isinstance(board, Board) else read_board(str(board))
     asked = request or ArrayRequest(board=drawn)
     wanted, mapping, say = _apply_options(asked, options, board=drawn, samples=samples)
     run = calibrate_array(log if isinstance(log, Recording) else read(log, mapping), wanted, say)
-    return Result(run, array_document(run))
+    return Result(run, compose_array_document(run))
 
 
 def imu(
@@ -252,13 +252,13 @@ def imu(
         acceleration and rate, or (n, 6) with `rate`
     """
     from imucalib.calibrators.imu.run import run_imu
-    from imucalib.report.imu import imu_document
+    from imucalib.report.imu import compose_imu_document
 
     wanted, mapping, say = _apply_options(request or ImuRequest(), options)
     first, others = _each(recording)
     with _as_file(first, _RECORDING) as file:
         run = run_imu((file, *others), mapping, wanted, say)
-    return Result(run, imu_document(run))
+    return Result(run, compose_imu_document(run))
 
 
 def _demand_known(options: Mapping[str, Any], kind: type) -> None:

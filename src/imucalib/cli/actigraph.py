@@ -75,7 +75,7 @@ def command(recording: Path, say: Say, **options: Any) -> list[Report]:
     from imucalib.calibrators.actigraph.published import calibrate_as_published
     from imucalib.calibrators.actigraph.request import ActigraphRequest
     from imucalib.calibrators.actigraph.run import calibrate_recording
-    from imucalib.report.actigraph import actigraph_document, published_document
+    from imucalib.report.actigraph import compose_actigraph_document, compose_published_document
     from imucalib.report.files import Report
 
     request = ActigraphRequest(
@@ -89,9 +89,9 @@ def command(recording: Path, say: Say, **options: Any) -> list[Report]:
     mapping = opt.mapping_of(options)
     if request.as_published:
         published = calibrate_as_published(recording, mapping, request, say)
-        return [Report(published, published_document(published))]
+        return [Report(published, compose_published_document(published))]
     run = calibrate_recording(recording, mapping, request, say)
-    return [Report(run, actigraph_document(run))]
+    return [Report(run, compose_actigraph_document(run))]
 
 
 def _seconds(text: str) -> float:

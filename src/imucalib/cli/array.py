@@ -82,7 +82,7 @@ def command(logs: tuple[Path, ...], say: Say, **options: Any) -> list[Report]:
     from imucalib.calibrators.array.calibrate import calibrate_array
     from imucalib.calibrators.array.logs import board_run
     from imucalib.readers import read
-    from imucalib.report.array import array_document, board_document
+    from imucalib.report.array import compose_array_document, compose_board_document
     from imucalib.report.files import Report, write_draws
 
     freed_memory(large=_LARGE, kept=_KEPT)
@@ -96,10 +96,10 @@ def command(logs: tuple[Path, ...], say: Say, **options: Any) -> list[Report]:
             write_draws(runs[-1], path)
             say(f"wrote {path}")
     named = zip(runs, logs, strict=True)
-    reports = [Report(run, array_document(run), log.stem) for run, log in named]
+    reports = [Report(run, compose_array_document(run), log.stem) for run, log in named]
     if len(runs) > 1:
         board = board_run(tuple(runs))
-        reports.append(Report(board, board_document(board)))
+        reports.append(Report(board, compose_board_document(board)))
     return reports
 
 

@@ -68,7 +68,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     """
     from imucalib.calibration.checking.check import check
     from imucalib.calibration.checking.noise import check_noise, limits_of, sessions_of, size_of
-    from imucalib.report.check import check_dict, check_document
+    from imucalib.report.check import check_dict, compose_check_document
     from imucalib.report.files import page_dict
     from imucalib.units import MG
 
@@ -84,7 +84,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         )
         found = check(loaded, measured, noise, limits, notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
-    document = check_document(found, log, calibration, command_line())
+    document = compose_check_document(found, log, calibration, command_line())
     present(document, {**content, **page_dict(document)}, options)
     return found.exit_code
 

@@ -48,7 +48,7 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     """
     from imucalib.calibration.checking.noise import limits_of, sessions_of
     from imucalib.calibration.comparison.compare import compare
-    from imucalib.report.comparison import comparison_dict, comparison_document
+    from imucalib.report.comparison import comparison_dict, compose_comparison_document
     from imucalib.report.files import page_dict
 
     opt.demand_outputs(options, [], *calibrations)
@@ -57,7 +57,7 @@ def command(calibrations: tuple[Path, ...], **options: Any) -> int:
     dated = options["dates"].split(",") if options["dates"] else ()
     sessions = sessions_of(options["between"])
     found = compare(loaded, _names(calibrations), wanted, dated, sessions)
-    document = comparison_document(found, calibrations, command_line())
+    document = compose_comparison_document(found, calibrations, command_line())
     present(document, {**comparison_dict(found), **page_dict(document)}, options)
     return found.exit_code
 

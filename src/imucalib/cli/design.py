@@ -72,7 +72,7 @@ def _positions(table: Path | None, count: int | None, options: dict[str, Any]) -
     from imucalib.calibrators.lab.design import design_of, recommend
     from imucalib.calibrators.lab.position_table import read_position_table
     from imucalib.core.angle_conventions import preset
-    from imucalib.report.design import design_dict, design_document
+    from imucalib.report.design import compose_design_document, design_dict
 
     angles = preset(options["convention"])
     if table is not None:
@@ -85,7 +85,7 @@ def _positions(table: Path | None, count: int | None, options: dict[str, Any]) -
     rows = zip(plan.inclination.tolist(), plan.tool_face.tolist(), strict=True)
     text = "".join(f"{i:.1f},{t:.1f}\n" for i, t in rows)
     _write_table(f"inclination,tool_face\n{text}", [table] if table else [], options)
-    present(design_document(plan, answer=table is None), design_dict(plan), options)
+    present(compose_design_document(plan, answer=table is None), design_dict(plan), options)
     return 4 if plan.vector.open_directions else 0
 
 
@@ -93,7 +93,7 @@ def _separation(path: Path, options: dict[str, Any]) -> int:
     """What to record next beside a calibration; the exit code."""
     from imucalib.calibration.checking.noise import size_of
     from imucalib.calibrators.next_recording import next_recording
-    from imucalib.report.design import separation_dict, separation_document
+    from imucalib.report.design import compose_separation_document, separation_dict
 
     opt.demand_outputs(options, [options["output"]], path)
     size = options["between_sessions"]
@@ -104,7 +104,7 @@ def _separation(path: Path, options: dict[str, Any]) -> int:
     with working("planning", quiet=options["quiet"]):
         found = next_recording(path, held or (), between)
     _write_table(found.table, [path], options)
-    present(separation_document(found, path.name), separation_dict(found), options)
+    present(compose_separation_document(found, path.name), separation_dict(found), options)
     return found.exit_code
 
 
@@ -112,10 +112,10 @@ def _turns(calibration: Path | None, rests: int | None, options: dict[str, Any])
     """A plan of turns by hand, or what to add to those of a calibration; the exit code."""
     from imucalib.calibration.file import read
     from imucalib.calibrators.imu.plan import hand_plan, turns_to_add
-    from imucalib.report.imu import describe_hand_plan, hand_plan_document
+    from imucalib.report.imu import compose_hand_plan_document, describe_hand_plan
 
     plan = hand_plan(rests or 0) if calibration is None else turns_to_add(read(calibration))
-    present(hand_plan_document(plan), describe_hand_plan(plan), options)
+    present(compose_hand_plan_document(plan), describe_hand_plan(plan), options)
     return 4 if plan.open_gains else 0
 
 

@@ -27,7 +27,7 @@ def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
       imucal effects gyro_delay
     """
     from imucalib.effects import catalogue, families, load_file
-    from imucalib.report.catalogue import catalogue_document, describe_effect
+    from imucalib.report.catalogue import compose_catalogue_document, describe_effect
     from imucalib.report.render.text import render_text
 
     own = load_file(effects_file) if effects_file else {}
@@ -38,7 +38,7 @@ def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     if as_json:
         emit_json([describe_effect(effect) for effect in chosen])
     else:
-        document = catalogue_document(chosen, list(families().values()))
+        document = compose_catalogue_document(chosen, list(families().values()))
         click.echo(render_text(document, width(), color=False, full=True), nl=False)
     return 0
 

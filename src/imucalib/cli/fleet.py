@@ -59,14 +59,14 @@ def command(inputs: tuple[Path, ...], **options: Any) -> int:
       imucal fleet entries --devices cohort.csv -o fleet
     """
     from imucalib.report.files import page_dict
-    from imucalib.report.fleet import fleet_dict, fleet_document
+    from imucalib.report.fleet import compose_fleet_document, fleet_dict
 
     folder, quiet = options["output"], options["quiet"]
     if folder is not None and not options["force"]:
         _demand(folder)
     with working("calibrating", quiet=quiet, verbose=options["verbose"]) as say:
         fleet = _fleet(inputs, options, say)
-    document = fleet_document(fleet)
+    document = compose_fleet_document(fleet)
     if folder is None:
         document = document.propose_writing(f"{fleet.command} -o fleet")
     else:

@@ -47,14 +47,14 @@ def command(recordings: tuple[Path, ...], say: Say, **options: Any) -> list[Repo
     from imucalib.calibrators.imu.run import run_imu
     from imucalib.recording.mapping import parse_axis_map
     from imucalib.report.files import Report
-    from imucalib.report.imu import imu_document
+    from imucalib.report.imu import compose_imu_document
 
     axes = parse_axis_map(options["gyro_axes"])
     request = ImuRequest(**shared_fields(options), gyro_axes=axes, still=opt.still_of(options))
     mapping, reports = opt.mapping_of(options), []
     for sensor in _list_sensors(recordings[0], mapping):
         run = run_imu(recordings, replace(mapping, sensor=sensor), request, say)
-        reports.append(Report(run, imu_document(run), sensor))
+        reports.append(Report(run, compose_imu_document(run), sensor))
     return reports
 
 

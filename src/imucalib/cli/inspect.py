@@ -38,7 +38,7 @@ def command(file: Path, **options: Any) -> int:
     from imucalib.inspection.inspection import inspect_recording
     from imucalib.readers import blocks
     from imucalib.recording.mapping import from_dict, save_mapping
-    from imucalib.report.inspection import describe_recording, inspection_document
+    from imucalib.report.inspection import compose_inspection_document, describe_recording
 
     mapping_file = options["save_mapping"]
     opt.demand_outputs(options, [mapping_file], file)
@@ -52,7 +52,7 @@ def command(file: Path, **options: Any) -> int:
     if mapping_file is not None:
         save_mapping(from_dict(found.mapping), mapping_file)
         note(f"wrote {mapping_file}", options["quiet"])
-    document = inspection_document(found, typed, rests=rests)
+    document = compose_inspection_document(found, typed, rests=rests)
     present(document, describe_recording(found, typed, rests=rests), options)
     return 0
 
@@ -60,11 +60,15 @@ def command(file: Path, **options: Any) -> int:
 def _no_recording(file: Path, typed: str, options: dict[str, Any]) -> tuple[Document, Data] | None:
     """What is to be said of a file of this program or of a table of positions; None of another."""
     from imucalib.calibrators.lab.files import inspect_table
-    from imucalib.report.inspection import describe_table, own_document, table_document
+    from imucalib.report.inspection import (
+        compose_own_document,
+        compose_table_document,
+        describe_table,
+    )
 
-    if file.is_file() and (own := own_document(file, typed)):
+    if file.is_file() and (own := compose_own_document(file, typed)):
         return own
     if (seen := inspect_table(file, opt.mapping_of(options))) is None:
         return None
     table = describe_table(seen, typed)
-    return table_document(table), table
+    return compose_table_document(table), table

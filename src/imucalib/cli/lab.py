@@ -123,13 +123,13 @@ def command(tables: tuple[Path, ...], say: Say, **options: Any) -> list[Report]:
     """
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
     from imucalib.report.files import Report
-    from imucalib.report.lab import lab_document
+    from imucalib.report.lab import compose_lab_document
 
     freed_memory(large=_KEPT, kept=_KEPT)
     columns, mapping = opt.pairs(options["columns"], "--columns"), opt.mapping_of(options)
     files = LabFiles(tables[0], options["recording"], columns, mapping, others=tables[1:])
     run = calibrate_files(files, request_of(options), say)
-    return [Report(run, lab_document(run))]
+    return [Report(run, compose_lab_document(run))]
 
 
 def request_of(options: dict[str, Any]) -> LabRequest:

@@ -44,7 +44,7 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
     from imucalib.exports.noise import noise_text
     from imucalib.inspection.noise import noise_at_rest
     from imucalib.readers import blocks
-    from imucalib.report.noise import describe_noise, noise_document
+    from imucalib.report.noise import compose_noise_document, describe_noise
     from imucalib.rests.segments import find_segments
 
     if output is not None and form is None:
@@ -68,6 +68,6 @@ def command(recording: Path, form: str | None, output: Path | None, **options: A
             return 0
         write_whole(output, text)
         note(f"wrote {output}", options["quiet"])
-    document = noise_document(str(recording), noise, opt.repeat_typed(recording))
+    document = compose_noise_document(str(recording), noise, opt.repeat_typed(recording))
     present(document, describe_noise(str(recording), noise), options)
     return 0

@@ -61,23 +61,28 @@ _METHODS: tuple[Column, ...] = (
 )
 
 
-def actigraph_document(run: ActigraphRun) -> Document:
+def compose_actigraph_document(run: ActigraphRun) -> Document:
     """Everything that a reader of the calibration must know, the verdict first."""
     picture, *others = _residual_plots(run)
     first = (_of_a_kind(run), _activity(run))
     rest = (
-        _series_section(run.series),
+        _compose_series_section(run.series),
         _parameters(run),
         _coverage(run),
         Section("Error over the sphere", _sphere_blocks(run)),
         _rule(run),
-        sections.sensor_section(run.calibration),
+        sections.compose_sensor_section(run.calibration),
     )
-    title, card = f"Calibration of {Path(run.scanned.path).name} by gravity", _card(run, picture)
-    return sections.calibration_document(title, run, card, first=first, residuals=others, rest=rest)
+    title, card = (
+        f"Calibration of {Path(run.scanned.path).name} by gravity",
+        _compose_card(run, picture),
+    )
+    return sections.compose_calibration_document(
+        title, run, card, first=first, residuals=others, rest=rest
+    )
 
 
-def _card(run: ActigraphRun, picture: Plot) -> Card:
+def _compose_card(run: ActigraphRun, picture: Plot) -> Card:
     """|a| at rest, and in the worst direction."""
     directions = even_directions()
     sd = norm_sd(run.result.final, directions) / MG
@@ -94,7 +99,7 @@ def _card(run: ActigraphRun, picture: Plot) -> Card:
         good.append(worth)
     ggir = sections.propose_export(run.calibration, "For GGIR", "ggir-csv", "ggir.csv")
     uses = (sections.CORRECT, *ggir)
-    return sections.card_of(run.outcome, good, uses=uses, picture=picture)
+    return sections.compose_card(run.outcome, good, uses=uses, picture=picture)
 
 
 def _of_a_kind(run: ActigraphRun) -> Section:
@@ -111,7 +116,7 @@ def _of_a_kind(run: ActigraphRun) -> Section:
             f"{probability(said.chance, 999)}. The calibration is the recording's own."
         )
         return Section(title, (Text(words, "warning"),))
-    kind = sections.kind_section(said.kind, fit, said.chance, "posture run", said.alone)
+    kind = sections.compose_kind_section(said.kind, fit, said.chance, "posture run", said.alone)
     before, now = (
         1.96 * float(norm_sd(one, even_directions()).max()) / MG for one in (said.alone, fit)
     )
@@ -193,7 +198,7 @@ def _rule(run: ActigraphRun) -> Section:
     return Section(title, (table, Facts(tuple(words))))
 
 
-def _series_section(found: Calibrations | None) -> Section:
+def _compose_series_section(found: Calibrations | None) -> Section:
     """Each part's parameters, and whether they differ; empty where all is one part."""
     title = "Recalibration over time"
     if found is None:
@@ -323,7 +328,7 @@ def _sphere_blocks(run: ActigraphRun) -> tuple[Plot, Table]:
     return map_, Table.from_columns(_SPHERE, run.details.sphere, title, note)
 
 
-def published_document(run: PublishedRun) -> Document:
+def compose_published_document(run: PublishedRun) -> Document:
     """The paper's own procedure: its methods next to each other, verified; parameters, points."""
     note = "Fixed point: operands of 32 or 16 bits, products of twice as many, no square root."
     title = "The paper's methods on the same 18 points (paper 002, Table 3)"
@@ -339,5 +344,5 @@ def published_document(run: PublishedRun) -> Document:
     )
     title = f"Calibration of {Path(run.scanned.path).name} as published"
     worth = sections.error_worth(run.outcome.error, "|a| at rest", "points")
-    card = sections.card_of(run.outcome, [worth], uses=(sections.CORRECT,))
-    return sections.calibration_document(title, run, card, rest=rest)
+    card = sections.compose_card(run.outcome, [worth], uses=(sections.CORRECT,))
+    return sections.compose_calibration_document(title, run, card, rest=rest)

@@ -26,7 +26,7 @@ _FUSE = Use(
 )
 
 
-def array_document(run: ArrayRun) -> Document:
+def compose_array_document(run: ArrayRun) -> Document:
     """Everything that a reader of the positions must know, the verdict first."""
     observability = _observability(run)
     off = 1e3 * (run.total.mean - run.board.drawn)
@@ -47,17 +47,19 @@ def array_document(run: ArrayRun) -> Document:
         Section("The board", board_plots(run)),
     )
     rest = (
-        _motion_section(run),
-        _rests_section(run),
+        _compose_motion_section(run),
+        _compose_rests_section(run),
         Section("Observability", observability),
         Section("The chains", (Facts(chains),)),
     )
     title = f"Positions of {run.board.name} from {run.outcome.provenance.input}"
-    card, plots = _card(run, observability), residual_plots(run)
-    return sections.calibration_document(title, run, card, first=first, residuals=plots, rest=rest)
+    card, plots = _compose_card(run, observability), residual_plots(run)
+    return sections.compose_calibration_document(
+        title, run, card, first=first, residuals=plots, rest=rest
+    )
 
 
-def _card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
+def _compose_card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
     """Worth of positions, gyros and accelerometers in motion.
 
     observability : what the motion did not determine, in words
@@ -79,7 +81,9 @@ def _card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
         *(sections.error_worth(e, n, "motion") for e, n in errors),
     )
     weak = (t.text for t in observability if t.tone == "warning")
-    return sections.card_of(run.outcome, worths, *weak, uses=(_FUSE,), picture=board_picture(run))
+    return sections.compose_card(
+        run.outcome, worths, *weak, uses=(_FUSE,), picture=board_picture(run)
+    )
 
 
 def _rms(values: Array) -> float:
@@ -130,7 +134,7 @@ def _known(total: Total, gyros: GyroScale, board: Board, request: ArrayRequest) 
     return Facts(tuple(rows))
 
 
-def _motion_section(run: ArrayRun) -> Section:
+def _compose_motion_section(run: ArrayRun) -> Section:
     moving, residual, rests, inner = run.moving, run.residual, run.rests, run.state.setup.inner
     speed = np.linalg.norm(run.state.sampled.rate[inner], axis=1) / DEG
     open_ = (f"{x.name} {x.value:.2g} {x.unit} (accepted {x.accepted:g})" for x in run.outcome.left)
@@ -167,7 +171,7 @@ def _inside(run: ArrayRun) -> str:
     return " and ".join(f"{share:.0f} %" for share in shares)
 
 
-def _rests_section(run: ArrayRun) -> Section:
+def _compose_rests_section(run: ArrayRun) -> Section:
     rests, loop = run.rests, run.rests.loop
     residual = f"{1e3 * rests.residual:.2f} mm/s² rms, {1e3 * rests.before:.2f} before the search"
     found = ", ".join(s.effect for s in loop.named) if loop and loop.named else "nothing"
@@ -214,7 +218,7 @@ def _observability(run: ArrayRun) -> tuple[Text, ...]:
     return tuple(words)
 
 
-def board_document(run: BoardRun) -> Document:
+def compose_board_document(run: BoardRun) -> Document:
     """Pooled positions, whether the logs agree, what repeats, and what a new log will say."""
     board, request = run.runs[0].board, run.runs[0].request
     sd = 1e3 * float(np.median(run.total.sd[1:]))
@@ -231,8 +235,8 @@ def board_document(run: BoardRun) -> Document:
     )
     title = f"{board.name} from {names}"
     worth = Worth("positions", f"± {1.96 * sd:.2g} mm", "95 %, median; size and frame included")
-    card = sections.card_of(run.outcome, [worth])
-    return sections.calibration_document(title, run, card, first=first)
+    card = sections.compose_card(run.outcome, [worth])
+    return sections.compose_calibration_document(title, run, card, first=first)
 
 
 def _agreement(run: BoardRun) -> Section:

@@ -66,7 +66,9 @@ def describe_effect(effect: Effect) -> EffectFacts:
     return EffectFacts.of(effect, parameters=tuple(map(ParameterFacts.of, _parameters(effect))))
 
 
-def catalogue_document(effects: Sequence[Effect], scans: Sequence[EffectScan] = ()) -> Document:
+def compose_catalogue_document(
+    effects: Sequence[Effect], scans: Sequence[EffectScan] = ()
+) -> Document:
     """Many effects, by what they act on and need, with those of which the search finds a value too;
     or everything about one."""
     if len(effects) == 1:

@@ -50,7 +50,9 @@ _UNCHANGED = "none"
 _OFTEN = f"{100 * SEEN_IN:.0f} %"
 
 
-def check_document(check: Check, log: Path, calibration: Path, command: str = "") -> Document:
+def compose_check_document(
+    check: Check, log: Path, calibration: Path, command: str = ""
+) -> Document:
     """Verdict and card, what changed or could have hidden, every rest.
 
     command : the line that was typed
@@ -64,7 +66,7 @@ def check_document(check: Check, log: Path, calibration: Path, command: str = ""
     typed = (("command", command),) if command else ()
     footer = (("calibration", str(calibration)), ("log", str(log)), *typed)
     title = f"Check of {calibration.name} with {log.name}"
-    card = _card(check, calibration, command)
+    card = _compose_card(check, calibration, command)
     return Document(title, _VERDICT[check.verdict], parts, footer, card, drawn="--html")
 
 
@@ -93,7 +95,7 @@ def _odd(check: Check) -> list[str]:
     ]
 
 
-def _card(check: Check, calibration: Path, command: str) -> Card:
+def _compose_card(check: Check, calibration: Path, command: str) -> Card:
     """What it could have seen; what shows, and the reading that fits least; what to do."""
     worths = []
     for name, limit in check.limits.items():

@@ -48,7 +48,9 @@ _VERDICT = {
 }
 
 
-def comparison_document(found: Comparison, paths: Sequence[Path], command: str = "") -> Document:
+def compose_comparison_document(
+    found: Comparison, paths: Sequence[Path], command: str = ""
+) -> Document:
     """Verdict and card, what differs, parameter by parameter, scatter, drift, control chart.
 
     paths : of the calibrations; command : the line that was typed
@@ -60,7 +62,7 @@ def comparison_document(found: Comparison, paths: Sequence[Path], command: str =
     )
     count, footer = len(found.names), (("command", command),)
     title = f"Comparison of {', '.join(found.names) if count <= _ROOM else f'{count} calibrations'}"
-    card = _card(found, paths, command)
+    card = _compose_card(found, paths, command)
     return Document(
         title, _VERDICT[found.verdict], parts, footer[: bool(command)], card, drawn="--html"
     )
@@ -71,7 +73,7 @@ def _how(found: Comparison) -> str:
     return "as stated" if found.stated else f"{SIGNIFICANT:g} times the largest stated sd"
 
 
-def _card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
+def _compose_card(found: Comparison, paths: Sequence[Path], command: str) -> Card:
     """To how much the calibrations agree, what shows, and what to do."""
     worths, several = [], len(found.names) > 2
     for worst in found.meanings:

@@ -32,7 +32,7 @@ def power_up_worths(sessions: BetweenSessions | None) -> list[Worth]:
     return list(found.values())
 
 
-def sessions_section(sessions: BetweenSessions | None) -> Section:
+def compose_sessions_section(sessions: BetweenSessions | None) -> Section:
     """What changes between power-ups, and the parameters after the next; empty of one session."""
     if sessions is None:
         return Section("Sessions", ())
@@ -75,7 +75,7 @@ def _session_plot(one: ScatterFacts, names: tuple[str, ...]) -> Plot:
     return Plot(title, "session", f"{y_label}, {one.unit}", series, caption)
 
 
-def temperature_section(calibration: Calibration) -> Section:
+def compose_temperature_section(calibration: Calibration) -> Section:
     """Empty where no effect follows the temperature."""
     low, high = calibration.valid.get("temperature", (0.0, 0.0))
     warm = np.linspace(low, high, _ROWS)

@@ -15,7 +15,7 @@ from imucalib.report.render.document import Block, Document, Section, Table, Tex
 from imucalib.units import DEG
 
 
-def design_document(plan: PositionPlan, *, answer: bool = False) -> Document:
+def compose_design_document(plan: PositionPlan, *, answer: bool = False) -> Document:
     """Efficiency, what stays open, the next positions, and the positions themselves.
 
     answer : the positions are the answer, not what was given
@@ -110,7 +110,7 @@ def design_dict(plan: PositionPlan) -> dict[str, Any]:
     return dict(plain(content))
 
 
-def separation_document(found: NextRecording, name: str) -> Document:
+def compose_separation_document(found: NextRecording, name: str) -> Document:
     """What is ambiguous, what to record, and what that promises."""
     planned, title = sum(len(part.rows) for part in found.parts), f"Record this next: {name}"
     if not found.parts:

@@ -43,7 +43,7 @@ _HOW = {
 }
 
 
-def fleet_document(fleet: Fleet) -> Document:
+def compose_fleet_document(fleet: Fleet) -> Document:
     """Verdict and card first."""
     kept = (r for m in fleet.members for r in m.recordings if r.kept)
     notes = (*fleet.notes, *(f"{r.name} stays as it was calibrated: {r.kept}." for r in kept))

@@ -14,7 +14,11 @@ from imucalib.calibrators.imu.plan import HandPlan
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.data import Data
 from imucalib.report import sections
-from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
+from imucalib.report.conditions import (
+    compose_sessions_section,
+    compose_temperature_section,
+    power_up_worths,
+)
 from imucalib.report.render.document import (
     Card,
     Document,
@@ -34,21 +38,21 @@ _RATE = "rate = K (reading - bias - what effects add), in the accelerometer's fr
 _NAMES = tuple(f"{a}{b}" for a in "xyz" for b in "xyz")
 
 
-def imu_document(run: ImuRun) -> Document:
+def compose_imu_document(run: ImuRun) -> Document:
     """Everything that a reader of the calibration must know, the verdict first."""
     rest = (
         Section("Gyroscope", (_facts(run),)),
         Section("Parameters", (sections.parameter_table(run.calibration, _RATE),)),
-        sessions_section(run.details.between_sessions),
-        temperature_section(run.calibration),
-        sections.sensor_section(run.calibration),
+        compose_sessions_section(run.details.between_sessions),
+        compose_temperature_section(run.calibration),
+        sections.compose_sensor_section(run.calibration),
         Section("Turns", (_turns(run),)),
     )
     title = f"IMU calibration of {run.outcome.provenance.input}"
-    return sections.calibration_document(title, run, _card(run), rest=rest)
+    return sections.compose_calibration_document(title, run, _compose_card(run), rest=rest)
 
 
-def _card(run: ImuRun) -> Card:
+def _compose_card(run: ImuRun) -> Card:
     outcome = run.outcome
     median = two_digits(float(np.median(run.result.held_out.turns.final)))
     carried = sections.error_worth(outcome.error, "gravity after a turn", "turns")
@@ -65,7 +69,7 @@ def _card(run: ImuRun) -> Card:
     if run.request.gravity_assumed:
         good.append(sections.gravity_worth(run.request.gravity))
     uses = (sections.CORRECT, *_for_kalibr(run))
-    return sections.card_of(outcome, tuple(good), uses=uses, picture=_picture(run))
+    return sections.compose_card(outcome, tuple(good), uses=uses, picture=_picture(run))
 
 
 def _delay(run: ImuRun) -> tuple[Worth, ...]:
@@ -133,7 +137,7 @@ def _turns(run: ImuRun) -> Table:
     return Table("Turns held out", header, tuple(rows), "rrrrrrr", note)
 
 
-def hand_plan_document(plan: HandPlan) -> Document:
+def compose_hand_plan_document(plan: HandPlan) -> Document:
     """The turns in their order, and what is known of the gains after them."""
     count, added = len(plan.turns), plan.before is not None
     scale, cross = _worst(plan)

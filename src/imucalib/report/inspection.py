@@ -86,7 +86,7 @@ _GAPS: tuple[Column, ...] = (
 )
 
 
-def inspection_document(
+def compose_inspection_document(
     found: Inspection,
     typed: str,
     *,
@@ -132,7 +132,7 @@ def inspection_document(
     return Document(found.path, verdict, tuple(parts), drawn="--html")
 
 
-def table_document(seen: TableInspection) -> Document:
+def compose_table_document(seen: TableInspection) -> Document:
     """What a table of positions holds, how it would be read, what is wrong, the next command."""
     facts = [("rows", str(seen.rows)), ("file", f"sha256 {seen.sha256[:16]}…")]
     facts += [("readings", seen.readings)] if seen.readings else []
@@ -151,7 +151,7 @@ def table_document(seen: TableInspection) -> Document:
     return Document(seen.path, verdict, parts, drawn="--html")
 
 
-def own_document(path: Path, typed: str) -> tuple[Document, OwnInspection] | None:
+def compose_own_document(path: Path, typed: str) -> tuple[Document, OwnInspection] | None:
     """What a file is that this program wrote, the next command, and the same for machines; None of
     another's file. Raises UnreadableInput where it is damaged."""
     if path.suffix.lower() not in (".yaml", ".yml", ".json"):
@@ -281,7 +281,7 @@ class RecordingInspection(Data, name="inspection/1"):
 
 
 def describe_table(seen: TableSeen, typed: str) -> TableInspection:
-    """What is known of a table. typed : as for `table_document`"""
+    """What is known of a table. typed : as for `compose_table_document`"""
     table = seen.table
     columns = (
         TableColumn(

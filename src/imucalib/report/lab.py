@@ -24,7 +24,11 @@ from imucalib.effects import known
 from imucalib.effects.scans import COLUMN
 from imucalib.posterior.held_out import Predictions, predict_fitted, raw_errors
 from imucalib.report import sections
-from imucalib.report.conditions import power_up_worths, sessions_section, temperature_section
+from imucalib.report.conditions import (
+    compose_sessions_section,
+    compose_temperature_section,
+    power_up_worths,
+)
 from imucalib.report.plots import band, sphere_map
 from imucalib.report.render.document import (
     Card,
@@ -56,26 +60,26 @@ _FOLLOWED = {
 }
 
 
-def lab_document(run: LabRun) -> Document:
+def compose_lab_document(run: LabRun) -> Document:
     """Everything that a reader of the calibration must know, the verdict first."""
     result, kind = run.result, run.request.population
     picture, *others = _residual_plots(run)
     rest = (
-        _angle_section(run),
-        _parameter_section(run),
-        sections.kind_section(kind, result.final, result.kind_chance, "position"),
-        _bench_section(run),
-        sessions_section(run.details.between_sessions),
-        temperature_section(run.calibration),
-        _dial_section(run),
-        sections.sensor_section(run.calibration),
-        _uncertainty_section(run),
+        _compose_angle_section(run),
+        _compose_parameter_section(run),
+        sections.compose_kind_section(kind, result.final, result.kind_chance, "position"),
+        _compose_bench_section(run),
+        compose_sessions_section(run.details.between_sessions),
+        compose_temperature_section(run.calibration),
+        _compose_dial_section(run),
+        sections.compose_sensor_section(run.calibration),
+        _compose_uncertainty_section(run),
         Section("Positions", (_position_table(run),)),
     )
     title = f"Lab calibration of {run.outcome.provenance.input}"
     plots = (*others, _attitude_map(run))
-    card = _card(run, picture)
-    return sections.calibration_document(title, run, card, residuals=plots, rest=rest)
+    card = _compose_card(run, picture)
+    return sections.compose_calibration_document(title, run, card, residuals=plots, rest=rest)
 
 
 def _knows_angles(run: LabRun) -> bool:
@@ -88,7 +92,7 @@ def _errors_of(run: LabRun, held: Predictions) -> AttitudeErrors:
     return attitude_errors(held, run.request.conventions)
 
 
-def _card(run: LabRun, picture: Plot) -> Card:
+def _compose_card(run: LabRun, picture: Plot) -> Card:
     """Errors on positions held out, angles at the worst attitude."""
     metric = "vector" if _knows_angles(run) else run.outcome.error.metric.partition(",")[0]
     like = ("attitudes", coverage(run.result.final.observations.reading[:, 0]))
@@ -105,7 +109,7 @@ def _card(run: LabRun, picture: Plot) -> Card:
     if not run.recorded:
         purpose = "Take the coefficients to the instrument"
         uses = sections.propose_export(run.calibration, purpose, "c-header", "calibration.h")
-    return sections.card_of(run.outcome, good, uses=uses, picture=picture)
+    return sections.compose_card(run.outcome, good, uses=uses, picture=picture)
 
 
 def _worst(run: LabRun) -> Worth:
@@ -151,7 +155,7 @@ def _within_a_circle(half: float, most: float, places: int) -> str:
     return f"{half:.{places}f}" if half < most else "not determined"
 
 
-def _parameter_section(run: LabRun) -> Section:
+def _compose_parameter_section(run: LabRun) -> Section:
     factor = run.result.final.noise.factor
     note = "sd with the noise as estimated"
     if reading_noise(run.result.final).own > 0.0:
@@ -160,7 +164,7 @@ def _parameter_section(run: LabRun) -> Section:
     return Section("Parameters", (sections.parameter_table(run.calibration, f"{note}."),))
 
 
-def _angle_section(run: LabRun) -> Section:
+def _compose_angle_section(run: LabRun) -> Section:
     result, directed = run.result, _knows_angles(run)
 
     def row(name: str, errors: AttitudeErrors) -> tuple[str, ...]:
@@ -191,7 +195,7 @@ def _angle_section(run: LabRun) -> Section:
     return Section("Angles and |a|" if directed else "|a|", (table,))
 
 
-def _bench_section(run: LabRun) -> Section:
+def _compose_bench_section(run: LabRun) -> Section:
     fit, reading = run.result.final, reading_noise(run.result.final)
     own = plus_minus(reading.own / MG, reading.own_sd / MG, "mg")
     rows = [("noise of a reading", own if reading.own > 0.0 else "0 (all of it shared)")]
@@ -218,7 +222,7 @@ def _bench_section(run: LabRun) -> Section:
     return Section("The bench", (Facts(tuple(rows)), *([Text(words)] if words else ())))
 
 
-def _dial_section(run: LabRun) -> Section:
+def _compose_dial_section(run: LabRun) -> Section:
     """What the bench's inclination dial is off by; empty when no such error was found."""
     title = "The bench's inclination dial"
     if not bends(run.result.final):
@@ -232,7 +236,7 @@ def _dial_section(run: LabRun) -> Section:
     return Section(title, (Plot(*labels, (interval, line), caption),))
 
 
-def _uncertainty_section(run: LabRun) -> Section:
+def _compose_uncertainty_section(run: LabRun) -> Section:
     """The parameters' uncertainty carried to the angles; empty without known angles."""
     fit = run.result.final
     if not _knows_angles(run):

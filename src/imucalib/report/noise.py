@@ -53,7 +53,7 @@ _NOISE = (
 )
 
 
-def noise_document(path: str, noise: Sequence[SensorNoise], typed: str) -> Document:
+def compose_noise_document(path: str, noise: Sequence[SensorNoise], typed: str) -> Document:
     """The terms of every axis, of the noisiest axes in other units, the Allan deviations with what
     explains them, and the files to make of it.
 

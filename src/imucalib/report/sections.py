@@ -92,7 +92,7 @@ CORRECT = Use(
 )
 
 
-def calibration_document(
+def compose_calibration_document(
     title: str,
     run: Run,
     card: Card,
@@ -107,14 +107,14 @@ def calibration_document(
     rest : sections behind them
     """
     outcome = run.outcome
-    parts = [*first, _loop_section(outcome), Section(RESIDUALS, tuple(residuals)), *rest]
-    parts += [_candidate_section(outcome.findings)] if outcome.findings else []
+    parts = [*first, _compose_loop_section(outcome), Section(RESIDUALS, tuple(residuals)), *rest]
+    parts += [_compose_candidate_section(outcome.findings)] if outcome.findings else []
     parts.append(Section("Notes", Text.paragraphs(outcome.notes)))
     footer, verdict = outcome.provenance.footer, _verdict(outcome)
     return Document(title, verdict, tuple(parts), footer, card, certify(run, card))
 
 
-def card_of(
+def compose_card(
     outcome: Outcome,
     good_to: Sequence[Worth],
     *more: str,
@@ -327,7 +327,7 @@ def _why(outcome: Outcome) -> list[str]:
     return why
 
 
-def _loop_section(outcome: Outcome) -> Section:
+def _compose_loop_section(outcome: Outcome) -> Section:
     """The effects that were added, what could hide, and the error before and after; the card says
     in words what was found."""
     found = outcome.findings or Findings("not run")
@@ -409,7 +409,7 @@ def _power(found: Findings) -> list[Text]:
     return said
 
 
-def _candidate_section(found: Findings) -> Section:
+def _compose_candidate_section(found: Findings) -> Section:
     """Every candidate of the last search with its numbers, why not, and what cannot be shown."""
     # A scan has hundreds of members.
     shown = [s for s in found.scores if "@" not in s.name or s.evidence_nats > 1.0]
@@ -448,7 +448,7 @@ def parameter_table(calibration: Calibration, note: str, shares: Sequence[float]
     return Table("Parameters", header, tuple(rows), "llrrlr"[: len(header)], note)
 
 
-def sensor_section(calibration: Calibration) -> Section:
+def compose_sensor_section(calibration: Calibration) -> Section:
     """M, b and the scales, and the angles between the sensing axes."""
     linear = calibration.matrices()
     rows = tuple(
@@ -468,7 +468,7 @@ def sensor_section(calibration: Calibration) -> Section:
     return Section("The sensor", (table, facts))
 
 
-def kind_section(
+def compose_kind_section(
     kind: Population | None, fit: Fit, chance: float, what: str, alone: Fit | None = None
 ) -> Section:
     """Empty without a fleet. chance : that one of the kind is as far from it; what : was recorded,

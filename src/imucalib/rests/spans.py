@@ -162,7 +162,7 @@ class SensorView:
         if pairs.size < _PAIRS:
             return 1.0
         one = pairs[:: max(1, pairs.size // _PAIRS_LOOKED_AT)]
-        two, least = one + 1, np.square(self.sensor.step) / 6.0 + np.finfo(float).tiny
+        two, least = one + 1, np.square(self.sensor.step) / 6.0 + np.sqrt(np.finfo(float).tiny)
         ratio = np.square(w.mean[two] - w.mean[one]) * w.samples
         ratio /= w.variance[two] + w.variance[one] + least
         # The median of a squared normal number is 0.455 of its variance.

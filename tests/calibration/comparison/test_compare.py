@@ -28,7 +28,7 @@ from imucalib.core.fit import StoredParameter
 from imucalib.core.sphere import even_directions
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.posterior.closed_loop.changes import NOISE
-from imucalib.report.comparison import comparison_document
+from imucalib.report.comparison import compose_comparison_document
 from imucalib.units import DEG
 from worlds.instrument import MG, Array, G, rotation
 from worlds.stated import made
@@ -116,7 +116,7 @@ def test_the_file_that_differs_from_the_others_is_named() -> None:
     found = compare(files, names, {})
     assert (found.odd, found.exit_code) == (("d",), 1)
     assert "d" in {names[k] for k in found.meanings[0].pair}
-    page = comparison_document(found, [Path(f"{name}.yaml") for name in names])
+    page = compose_comparison_document(found, [Path(f"{name}.yaml") for name in names])
     assert page.title == "Comparison of 5 calibrations"
     assert "Unlike the others: d." in [str(text.text) for text in page.card.found]
 

@@ -18,7 +18,7 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.core.angle_conventions import PRESETS, Conventions
 from imucalib.core.references import unit_vector
-from imucalib.report.lab import lab_document
+from imucalib.report.lab import compose_lab_document
 from imucalib.report.render.document import Document, Plot
 from imucalib.units import DEG
 from worlds.places import SAMPLES
@@ -124,7 +124,9 @@ def test_every_axis_of_angles_is_the_users(
 ) -> None:
     shown = _run(paper_table, meant)
     seen = 0
-    for one, two in zip(_plots(lab_document(plain)), _plots(lab_document(shown)), strict=True):
+    for one, two in zip(
+        _plots(compose_lab_document(plain)), _plots(compose_lab_document(shown)), strict=True
+    ):
         assert (one.title, one.x_label, one.y_label) == (two.title, two.x_label, two.y_label)
         which = {"inclination (deg)": 0, "tool-face (deg)": 1}.get(one.x_label)
         error = re.search(r"error of (inclination|tool-face)", one.y_label)

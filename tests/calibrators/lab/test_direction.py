@@ -172,12 +172,12 @@ def test_an_interval_wider_than_a_circle_is_no_number() -> None:
     """Paper 004's own objective leaves a combination open: that is said, not 867 deg."""
     from imucalib.calibrators.lab.position_table import read_position_table
     from imucalib.calibrators.lab.request import as_published
-    from imucalib.report.lab import lab_document
+    from imucalib.report.lab import compose_lab_document
     from worlds.places import SAMPLES
 
     table = read_position_table(SAMPLES / "paper_table_1.csv")
     run = run_lab(table, as_published(LabRequest(fixes=((10, "y", -58593.0),))))
-    card = lab_document(run).card
+    card = compose_lab_document(run).card
     assert card is not None
     angles = [w.value for w in card.good_to if "one reading" in w.detail]
     assert angles == ["not determined", "not determined"]

@@ -200,7 +200,7 @@ CASES: tuple[Case, ...] = (
         np.degrees(_turning(b) - _turning(a))[:100], 1.0, atol=0.01)), *QUIET_TURNS),
     TURNS("--fault gap@3:2", _gap("turns.csv", 3.0, 2.0)),
     TURNS("--seed 3", _that(lambda a, b: len(_t(a, "turns.csv")) == len(_t(b, "turns.csv")))),
-    DESIGN("--full", _every_position, "design", "<bench.csv>"),
+    DESIGN("--full", _every_position, "design", "<thrice.csv>"),
     DESIGN("--recommend 9", _recommended, "design", "--json"),
     DESIGN("--columns inclination=alpha,tool_face=beta", _drilling, "design", "<renamed.csv>",
            "--json"),

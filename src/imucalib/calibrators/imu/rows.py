@@ -34,6 +34,7 @@ from imucalib.estimators.turns import (
     variances,
 )
 from imucalib.posterior.odds import BETWEEN
+from imucalib.posterior.search.noise import WideCovariance
 
 #: g, scatter of the forces of rests beside what their samples say, that is weighed: flat in the log
 #: over what chips and hands leave; and how many floors of a turn are taken together.
@@ -60,43 +61,6 @@ def points_of(fit: TurnFit, *, between_temperatures: bool) -> tuple[TurnNoisePoi
         TurnNoisePoint(floor + k, force, fit.noise.power_up * share, float(prior))
         for force, share, floor, (k, prior) in every
     )
-
-
-@dataclass(frozen=True)
-class BandedCovariance:
-    """V at a point: a band beside what many rows share, removed by Woodbury's identity (1950).
-
-    band : its lower Cholesky factor; wide : (n, k) what is shared, and its V⁻¹ in the band's own
-    lower : (k, k) Cholesky factor of 1 + Gᵀ B⁻¹ G
-    """
-
-    band: Array
-    wide: Array
-    weighted: Array
-    lower: Array
-
-    @staticmethod
-    def of(band: Array, wide: Array) -> BandedCovariance:
-        """band : lower form (b + 1, n) of what neighbours share; wide : (n, k)"""
-        root = cholesky_banded(band, lower=True, check_finite=False)
-        weighted = cho_solve_banded((root, True), wide, check_finite=False) if wide.size else wide
-        inner = np.eye(wide.shape[1]) + wide.T @ weighted
-        return BandedCovariance(root, wide, weighted, np.asarray(np.linalg.cholesky(inner)))
-
-    @property
-    def log_det(self) -> float:
-        """log|V|"""
-        return float(2.0 * (np.log(self.band[0]).sum() + np.log(np.diag(self.lower)).sum()))
-
-    def solve(self, columns: Array) -> Array:
-        """(n, m) V⁻¹ times columns (n, m)."""
-        from scipy.linalg import cho_solve
-
-        found = cho_solve_banded((self.band, True), columns, check_finite=False)
-        if self.wide.size:
-            inside = cho_solve((self.lower, True), self.wide.T @ found, check_finite=False)
-            found = found - self.weighted @ inside
-        return np.asarray(found)
 
 
 @dataclass(frozen=True)
@@ -218,13 +182,19 @@ class TurnTerms:
             self._bands[force] = _lower_band(sparse.coo_array(whole), self.rows.walk[kept])
         return self._bands[force]
 
-    def covariance(self, point: TurnNoisePoint, lacked: Array | None = None) -> BandedCovariance:
+    def covariance(self, point: TurnNoisePoint, lacked: Array | None = None) -> WideCovariance:
         """V at a point; lacked : (n, m) factor of what may be there beside the noise."""
         turn = self.rows.turn[self._kept]
         band = self._band(point.force).copy()
         band[0] += np.where(turn < 0, 0.0, self._turns[point.turns][turn])
+        root = cholesky_banded(band, lower=True, check_finite=False)
+
+        def weigh(columns: Array) -> Array:
+            return np.asarray(cho_solve_banded((root, True), columns, check_finite=False))
+
         wide = [point.power_up * self.rows.shared[self._kept]]
-        return BandedCovariance.of(band, np.hstack(wide if lacked is None else [*wide, lacked]))
+        every = np.hstack(wide if lacked is None else [*wide, lacked])
+        return WideCovariance.of(weigh, 2.0 * float(np.log(root[0]).sum()), every)
 
     def evidence(
         self, points: Sequence[TurnNoisePoint], base: int, lacked: Array | None = None

@@ -11,7 +11,7 @@ K(i, j) = exp(-|i - j| / memory), B what a bias does to each number.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -58,31 +58,42 @@ class NoiseHypothesis:
 
 
 @dataclass(frozen=True)
-class SheetCovariance:
-    """V, whose inverse is never formed: B + G Gᵀ, with what few numbers share in the blocks B, and
-    what many share in G, removed by the identity of Woodbury (1950).
+class WideCovariance:
+    """V = B + G Gᵀ of a B that is quickly solved and a G of few columns; V⁻¹ is never formed
+    (Woodbury 1950).
 
-    blocks : whitens B; wide : (N, k) G, whitened; lower : (k, k) Cholesky factor of 1 + Gᵀ B⁻¹ G
+    weigh : of columns (N, m) B⁻¹ times them; base_log_det : log|B|; wide : (N, k) G
+    weighted : (N, k) B⁻¹ G; lower : (k, k) Cholesky factor of 1 + Gᵀ B⁻¹ G
     """
 
-    blocks: Whitener
+    weigh: Callable[[Array], Array]
+    base_log_det: float
     wide: Array
+    weighted: Array
     lower: Array
+
+    @staticmethod
+    def of(weigh: Callable[[Array], Array], base_log_det: float, wide: Array) -> WideCovariance:
+        """By its two parts; wide : (N, k), k may be none."""
+        weighted = weigh(wide) if wide.size else wide
+        inner = np.eye(wide.shape[1]) + wide.T @ weighted
+        lower = np.asarray(np.linalg.cholesky(inner))
+        return WideCovariance(weigh, base_log_det, wide, weighted, lower)
 
     @property
     def log_det(self) -> float:
         """log|V|"""
-        return float(self.blocks.log_det + 2.0 * np.log(np.diag(self.lower)).sum())
+        return float(self.base_log_det + 2.0 * np.log(np.diag(self.lower)).sum())
 
     def solve(self, columns: Array) -> Array:
         """(N, m) V⁻¹ times columns (N, m)."""
         from scipy.linalg import cho_solve
 
-        white = self.blocks(columns)
+        found = self.weigh(columns)
         if self.wide.size:
-            inside = cho_solve((self.lower, True), self.wide.T @ white, check_finite=False)
-            white = white - self.wide @ inside
-        return self.blocks.back(white)
+            inside = cho_solve((self.lower, True), self.wide.T @ found, check_finite=False)
+            found = found - self.weighted @ inside
+        return np.asarray(found)
 
 
 @dataclass(frozen=True)
@@ -112,17 +123,16 @@ class Terms:
     known: Array
     dof: float
 
-    def covariance(self, point: NoiseHypothesis) -> SheetCovariance:
-        """V at a point."""
+    def covariance(self, point: NoiseHypothesis) -> WideCovariance:
+        """V at a point: what few numbers share stands in blocks, beside what many do."""
         n, blocks = self.order.size, self._settings(point)
         wide = [size * factor for size, factor in self._wide(point) if size]
         if sum(m.shape[1] for m in wide) >= n:
             few = [f.few for f in self.sharings[point.sharing]]
-            whole = whitener((*few, *wide), (*point.ratio, *(1.0 for _ in wide)))
-            return SheetCovariance(whole, np.zeros((n, 0)), np.zeros((0, 0)))
-        columns = blocks(np.column_stack([np.zeros((n, 0)), *wide]))
-        inner = np.eye(columns.shape[1]) + columns.T @ columns
-        return SheetCovariance(blocks, columns, np.asarray(np.linalg.cholesky(inner)))
+            blocks = whitener((*few, *wide), (*point.ratio, *(1.0 for _ in wide)))
+            wide = []
+        every = np.column_stack([np.zeros((n, 0)), *wide])
+        return WideCovariance.of(blocks.weigh, blocks.log_det, every)
 
     def evidence(
         self, points: Sequence[NoiseHypothesis], lacked: Array, power: Array | None = None

@@ -135,6 +135,8 @@ def misread_angles(sheet: Sheet) -> Misread | None:
             misfits[meaning] = max(_misfit(known, whole=meaning != AngleMeaning()), BENCH)
             parts[meaning] = max(_misfit_of_part(known), BENCH)
     plain, dof = misfits[AngleMeaning()], 3 * rows.size - 15
+    if not np.isfinite(plain):
+        return None
     logs = {
         m: sum(map(bool, m)) * np.log(WRONG / _DEPARTURES) - dof * np.log(misfits[m]) for m in tried
     }
@@ -142,7 +144,7 @@ def misread_angles(sheet: Sheet) -> Misread | None:
     score = float(logs[best] - logs[AngleMeaning()])
     told = (misfits,) if best.inclination_steps or best.tool_face_steps else (misfits, parts)
     far_better = any(each[best] <= each[AngleMeaning()] * FAR_BETTER for each in told)
-    if not np.isfinite(plain) or score <= CLEAR or not far_better:
+    if score <= CLEAR or not far_better:
         return None
     return Misread(best, score, misfits[best], plain)
 
