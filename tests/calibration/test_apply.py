@@ -16,7 +16,7 @@ from imucalib.calibration import apply as application
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import read as read_calibration
-from imucalib.calibration.file import write as write_calibration
+from imucalib.calibration.file import to_yaml, write_whole
 from imucalib.calibration.undo import Undo
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -55,7 +55,7 @@ THETA = np.concatenate([SENSOR[name] for name in NINE])
 def calibrated(plan: WeekPlan, request: ActigraphRequest, folder: Path) -> Calibration:
     week = simulated_week(plan, 8)
     run = run_of(week.runs, week.scanned, request, lambda text: None)
-    write_calibration(run.calibration, folder / "calibration.yaml")
+    write_whole(folder / "calibration.yaml", to_yaml(run.calibration))
     return read_calibration(folder / "calibration.yaml")
 
 

@@ -94,11 +94,6 @@ def identity(calibration: Calibration) -> str:
     return calibration.sha256 or hashlib.sha256(to_yaml(calibration).encode()).hexdigest()
 
 
-def write(calibration: Calibration, path: Path) -> None:
-    """Write the YAML file whole or not at all."""
-    write_whole(path, to_yaml(calibration))
-
-
 def write_whole(path: Path, text: str) -> None:
     """Write a text file by a temporary neighbour and a rename."""
     write_together({path: text})
