@@ -31,7 +31,7 @@ from imucalib.significant_digits import per_cent, plus_minus, size_with_unit
 _TONE: dict[str, Tone] = {"explained": "ok", "suspected": "warning", "unexplained": "warning"}
 _SHARED: tuple[Column, ...] = (
     ("effect", "effect", ""),
-    ("probability", lambda one: per_cent(one.pooled.probability), ">"),
+    ("probability", lambda one: per_cent(one.probability), ">"),
     ("foretold, nats", lambda one: one.nats.sum(), "+.1f"),
     ("devices that gain", lambda one: f"{np.sum(one.nats > 0.0)} of {len(one.able)}", ">"),
     ("rivals", lambda one: ", ".join(one.rivals) or "none", ""),
@@ -228,7 +228,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
     """report.json of a fleet, as plain types."""
     search, made = fleet.search, [r.provenance for m in fleet.members for r in m.recordings]
     found = (
-        "effect probability=pooled.probability evidence_nats=pooled.evidence foretold_nats=nats "
+        "effect probability evidence_nats=evidence foretold_nats=nats "
         "rivals devices=able common_typical=sizes.common scatter_typical=sizes.scatter"
     )
     tried = "effect evidence_nats=evidence probability devices"

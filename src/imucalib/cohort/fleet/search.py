@@ -93,19 +93,14 @@ class Sizes:
 
 
 @dataclass(frozen=True)
-class FleetEffect:
-    """An effect of the fleet. rivals : names that explain as much; nats : that each device's data
-    gain by the others' sizes; able : devices that can show it; sizes : theirs"""
+class FleetEffect(PooledEffect):
+    """An effect that a fleet shares. rivals : names that explain as much; nats : that each device's
+    data gain by the others' sizes; able : devices that can show it; sizes : theirs"""
 
-    pooled: PooledEffect
     rivals: tuple[str, ...]
     nats: Array
     able: tuple[str, ...]
     sizes: Sizes
-
-    @property
-    def effect(self) -> str:
-        return self.pooled.effect
 
 
 #: Effect -> its sizes, in typical sizes.
@@ -140,7 +135,7 @@ def search_fleet(
     found = search(devices)
     by_device: dict[str, dict[str, Prior]] = {device.name: {} for device in devices}
     for one in found.found:
-        say(f"{one.effect}: in {len(one.able)} devices, {100.0 * one.pooled.probability:.0f} %")
+        say(f"{one.effect}: in {len(one.able)} devices, {100.0 * one.probability:.0f} %")
         able, gram, along = products(devices, one.effect)
         for name, said in zip(able, by_others(gram, along), strict=True):
             by_device[name][one.effect] = joint_prior(*said)
@@ -169,7 +164,7 @@ def search(devices: Sequence[PooledDevice]) -> Search:
             continue
         said = sizes(gram, along)
         rivals = tuple(s.effect for s in scores[1:] if s.evidence > best.evidence - OCCAM)
-        found.append(FleetEffect(best, rivals, nats, able, said))
+        found.append(FleetEffect(**vars(best), rivals=rivals, nats=nats, able=able, sizes=said))
         now = tuple(_drop(device, best.effect, said) for device in now)
 
 
