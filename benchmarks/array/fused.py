@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import read as read_calibration
-from imucalib.calibration.file import write as write_calibration
+from imucalib.calibration.file import to_yaml, write_whole
 from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.fusion.fuse import Fused
@@ -45,7 +45,7 @@ def calibration_of(data: Path, name: str, folder: Path) -> Calibration:
     if not path.exists():
         request = ArrayRequest(board=read_board("mimu4444_corners"), gravity=GRAVITY)
         run = calibrate_array(read(data / f"{name}.h5"), request, lambda _: None)
-        write_calibration(run.calibration, path)
+        write_whole(path, to_yaml(run.calibration))
     return read_calibration(path)
 
 

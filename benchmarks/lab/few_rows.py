@@ -94,7 +94,7 @@ def judged(
     force = rng.normal(size=(40, 3))
     force *= G / np.linalg.norm(force, axis=1, keepdims=True)
     error = correct_readings(fit, force @ gain.T + bias) - force
-    slope, _ = force_slope(fit, force[:, None])
+    slope, _ = force_slope(fit, force)
     rows = slope.reshape(-1, slope.shape[-1])
     half = fit.half_width(rows).reshape(error.shape)
     sd = np.sqrt(np.einsum("np,pq,nq->n", rows, fit.covariance, rows)).reshape(error.shape)

@@ -62,13 +62,14 @@ def run(devices: int, sessions: int, scatter: tuple[float, ...], folder: Path) -
             writer = csv.writer(out)
             writer.writerow(("session", "inclination", "tool_face", "x (mg)", "y (mg)", "z (mg)"))
             writer.writerows(rows)
-        told = calibrate_files(LabFiles(path), request, lambda _: None).sessions
-        assert told is not None
-        for k, p in enumerate(p for p in told.parameters if p.effect == "bias"):
+        details = calibrate_files(LabFiles(path), request, lambda _: None).details
+        assert details.between_sessions is not None
+        after = details.between_sessions.next_power_up
+        for k, p in enumerate(p for p in after if p.effect == "bias"):
             off = p.value - bias[-1, k]
-            z.append(off / p.sd)
-            inside.append(abs(off) <= p.half)
-            own.append(off / p.mean)
+            z.append(off / p.sd_next_power_up)
+            inside.append(abs(off) <= p.half_of_95)
+            own.append(off / p.sd_of_mean)
     print(
         f"| {scatter} mg | {sessions} | {devices} | {np.sqrt(np.mean(np.square(z))):.2f} | "
         f"{100 * np.mean(inside):.1f} % | {np.sqrt(np.mean(np.square(own))):.2f} |",

@@ -7,9 +7,11 @@ has no value; any other number that does not exist is null.
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import Field, dataclass, fields, is_dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import Field, dataclass, field, is_dataclass
 from operator import attrgetter
 from types import NoneType, UnionType
 from typing import (
@@ -35,19 +37,22 @@ _PLAIN: dict[Any, dict[str, Any]] = {
 }
 #: Written `schema`, first in a document.
 _NAME = "imucal/{}"
+#: What has an end of its own in JSON.
+_MANY = (dict, list, tuple)
 
 
-@dataclass_transform(frozen_default=True)
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
 class Data:
     """A part of a document, or, with a name such as "noise/1", a document.
 
-    kw_only : as of dataclasses
+    kw_only : as of dataclasses; sparse : whether every key that is empty is left out
     beside : (document, key, value): its keys stand beside the document's where that key has this
         value
     """
 
     schema_name: ClassVar[str] = ""
     beside: ClassVar[tuple[str, str, str] | None] = None
+    sparse: ClassVar[bool] = False
 
     def __init_subclass__(
         cls,
@@ -55,9 +60,10 @@ class Data:
         *,
         kw_only: bool = False,
         beside: tuple[str, str, str] | None = None,
+        sparse: bool = False,
     ) -> None:
         super().__init_subclass__()
-        cls.schema_name, cls.beside = name, beside
+        cls.schema_name, cls.beside, cls.sparse = name, beside, sparse
         dataclass(frozen=True, kw_only=kw_only)(cls)
 
     @classmethod
@@ -67,18 +73,18 @@ class Data:
         renamed : keys whose attribute has another name: "rate_hz=clock.rate start_s=start"
         """
         paths = dict(one.split("=") for one in renamed.split())
-        names = [one.name for one in fields(cls) if one.init and one.name not in stated]  # type: ignore[arg-type]
+        names = [one.name for one in dataclasses.fields(cls) if one.init and one.name not in stated]  # type: ignore[arg-type]
         read = {name: attrgetter(paths.get(name, name))(source) for name in names}
         return cls(**read, **stated)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain types, ready for JSON; of a document with its schema's name."""
         content = {"schema": _NAME.format(self.schema_name)} if self.schema_name else {}
-        each = ((one, getattr(self, one.name)) for one in fields(self))  # type: ignore[arg-type]
+        each = ((one, getattr(self, one.name)) for one in dataclasses.fields(self))  # type: ignore[arg-type]
         return content | {
             one.name: plain(value)
             for one, value in each
-            if not (one.default is None and value is None)
+            if not (value is None and one.default is None) and not (self.sparse and not value)
         }
 
 
@@ -99,6 +105,36 @@ def plain(value: Any) -> Any:
         return plain(value.tolist())
     number = float(value)
     return number if math.isfinite(number) else None
+
+
+def fields(source: object, names: str) -> dict[str, Any]:
+    """Some attributes of an object as plain types, in their order.
+
+    names : separated by blanks; "rate_hz=clock.rate" is an attribute's attribute by its own name
+    """
+    parts = (name.rpartition("=") for name in names.split())
+    return {key or path: plain(attrgetter(path)(source)) for key, _, path in parts}
+
+
+def list_fields(sources: Iterable[object], names: str) -> list[dict[str, Any]]:
+    """`fields` of each of some objects."""
+    return [fields(source, names) for source in sources]
+
+
+def json_text(content: Any, indent: str = "") -> str:
+    """JSON of plain types; a list of numbers or words is on one line. Raises ValueError for NaN."""
+    inner, ends, lines = indent + "  ", "[]", list[str]()
+    if isinstance(content, dict) and content:
+        ends = "{}"
+        lines = [
+            f"{json.dumps(k, ensure_ascii=False)}: {json_text(v, inner)}"
+            for k, v in content.items()
+        ]
+    elif isinstance(content, list | tuple) and any(isinstance(v, _MANY) for v in content):
+        lines = [json_text(v, inner) for v in content]
+    if not lines:
+        return json.dumps(content, ensure_ascii=False, allow_nan=False)
+    return f"{ends[0]}\n{inner}" + f",\n{inner}".join(lines) + f"\n{indent}{ends[1]}"
 
 
 def documents() -> dict[str, list[type[Data]]]:
@@ -188,11 +224,12 @@ def _types(schema: Mapping[str, Any]) -> list[str]:
 
 def _schema_of_keys(kind: Any) -> dict[str, Any]:
     hints = get_type_hints(kind, include_extras=True)
-    own: tuple[Field[Any], ...] = fields(kind)
+    own: tuple[Field[Any], ...] = dataclasses.fields(kind)
+    sparse = getattr(kind, "sparse", False)
     return {
         "description": (kind.__doc__ or "").partition("\n")[0],
         "type": "object",
-        "required": [one.name for one in own if one.default is not None],
+        "required": [one.name for one in own if one.default is not None and not sparse],
         "properties": {one.name: _schema(_drop_none(one, hints[one.name])) for one in own},
         "additionalProperties": False,
     }

@@ -13,10 +13,16 @@ import numpy as np
 import pytest
 
 from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.file import VERSION, as_dict, check, from_dict, read, to_yaml, write
+from imucalib.calibration.file import VERSION, as_dict, check, from_dict, read, to_yaml, write_whole
 from imucalib.calibration.findings import Findings
-from imucalib.calibration.outcome import ErrorSummary, Gate, HeldOutError, Outcome, list_open
-from imucalib.calibration.provenance import provenance_of
+from imucalib.calibration.outcome import (
+    ErrorSummary,
+    Gate,
+    HeldOutError,
+    Outcome,
+    list_open,
+    provenance_of,
+)
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit, StoredParameter
@@ -72,7 +78,7 @@ def _same(a: Calibration, b: Calibration) -> None:
 
 def test_written_and_read_bit_by_bit(tmp_path: Path) -> None:
     path = tmp_path / "new" / "calibration.yaml"
-    write(_calibration(), path)
+    write_whole(path, to_yaml(_calibration()))
     _same(read(path), _calibration())
     assert list(path.parent.iterdir()) == [path]
 
@@ -205,7 +211,7 @@ def test_an_interrupted_write_leaves_nothing(
 
     monkeypatch.setattr(os, "replace", stop)
     with pytest.raises(KeyboardInterrupt):
-        write(_calibration(), path)
+        write_whole(path, to_yaml(_calibration()))
     assert [p.name for p in tmp_path.iterdir()] == ([path.name] if before else [])
     if before:
         assert path.read_text() == before

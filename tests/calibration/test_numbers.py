@@ -11,9 +11,9 @@ import pytest
 from scipy.stats import binom
 
 from imucalib.arrays import Array
-from imucalib.calibration import power
 from imucalib.calibration.angles import angles_at_rests, angles_of_samples
 from imucalib.calibration.calibration import Calibration, matrices
+from imucalib.calibration.findings import advice_of, find_hidden
 from imucalib.calibration.uncertainty import angle_uncertainty
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
@@ -230,9 +230,9 @@ def test_what_may_hide_is_told_at_the_size_that_four_of_five_would_find() -> Non
         score("inclination_zero", 9.0 * MG, 1.0, absorbed=True),
         score("bias_step@60s", 9.0 * MG, 1.0, absorbed=False),
     ]
-    found = power.find_hidden(scores, ("cross_axis",))  # type: ignore[arg-type]
+    found = find_hidden(scores, ("cross_axis",))  # type: ignore[arg-type]
     assert [h.name for h in found] == ["quadratic", "asymmetry", "cubic"]
     assert [h.size / MG for h in found] == pytest.approx([0.5, 14.1, 1.0])
-    (text,) = power.advice_of(found)
+    (text,) = advice_of(found)
     assert "cannot show quadratic, whatever the size (0.5 mg rms" in text
-    assert power.advice_of(found[1:]) == ()
+    assert advice_of(found[1:]) == ()

@@ -20,8 +20,7 @@ import pytest
 from imucalib import readers, writers
 from imucalib.atomic_file import replace_atomically
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.file import write as write_calibration
-from imucalib.calibration.file import write_together
+from imucalib.calibration.file import to_yaml, write_together, write_whole
 from imucalib.core.fit import StoredParameter
 from imucalib.errors import UsageError
 from imucalib.file_hash import sha256_of
@@ -61,7 +60,7 @@ def calibration(tmp_path: Path) -> Path:
         gravity=9.80665,
         status="ok",
     )
-    write_calibration(made, tmp_path / "calibration.yaml")
+    write_whole(tmp_path / "calibration.yaml", to_yaml(made))
     return tmp_path / "calibration.yaml"
 
 

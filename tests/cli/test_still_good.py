@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucalib.calibration.file import read, write
+from imucalib.calibration.file import read, to_yaml, write_whole
 from imucalib.calibrators.lab.simulation import BenchPlan, simulate_recording, simulate_table
 from imucalib.report.render.text import SCREEN
 from imucalib.writers import write as write_recording
@@ -127,7 +127,8 @@ def test_a_long_result_is_one_screen_unless_all_is_shown(
     calibration, log = folder / "angles" / "calibration.yaml", tmp_path / "long.csv"
     log.write_text(SHEET.table(instrument(rng), positions(70, rng), rng))
     loaded = read(calibration)
-    write(replace(loaded, reasons=tuple(f"reason {k}" for k in range(300))), tmp_path / "b.yaml")
+    many = replace(loaded, reasons=tuple(f"reason {k}" for k in range(300)))
+    write_whole(tmp_path / "b.yaml", to_yaml(many))
     call = {"check": (calibration, log), "compare": (calibration, tmp_path / "b.yaml")}[command]
     screen = run(command, *call).stdout.splitlines()
     assert len(screen) <= SCREEN

@@ -17,9 +17,8 @@ from imucalib.calibration.file import read
 from imucalib.calibrators.lab.files import LabFiles
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.cohort.fleet.outcome import Fleet, estimate_spreads, outliers
-from imucalib.cohort.fleet.pooled import PooledDevice
 from imucalib.cohort.fleet.run import run_fleet
-from imucalib.cohort.fleet.search import search
+from imucalib.cohort.fleet.search import PooledDevice, search
 from imucalib.errors import UsageError
 from worlds.command import run
 from worlds.places import SAMPLES

@@ -21,9 +21,8 @@ from imucalib.calibration.sums import KEY
 from imucalib.calibration.triads import triad_from
 from imucalib.calibrators.population import read as read_population
 from imucalib.cohort.entries import Entry, write_entry
-from imucalib.cohort.fleet.calibrated import load_calibrations
 from imucalib.cohort.fleet.outcome import Fleet
-from imucalib.cohort.fleet.recorded import Wanted, run_recorded
+from imucalib.cohort.fleet.recorded import Wanted, load_calibrations, run_recorded
 from imucalib.core.effect import Context
 from imucalib.core.fit import StoredParameter
 from imucalib.effects import named
@@ -194,7 +193,7 @@ def test_an_entry_says_to_a_fleet_what_its_report_says(tmp_path: Path) -> None:
     folder_of(tmp_path / "run", content)
     entry_of(tmp_path / "entries" / "w.json", content)
     by_report, by_entry = (load_calibrations([tmp_path / n])[0][0] for n in ("run", "entries"))
-    for name in ("name", "recording", "device", "calibrator", "provenance"):
+    for name in ("name", "path", "device", "provenance"):
         assert getattr(by_entry, name) == getattr(by_report, name)
     assert [(p.name, p.value, p.sd) for p in by_entry.values] == [
         (p.name, p.value, p.sd) for p in by_report.values

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from imucalib.cohort.worker import Worker
+from imucalib.cohort.batch import Worker
 
 SERVE = """
 import os, sys

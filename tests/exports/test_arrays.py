@@ -18,8 +18,7 @@ import pytest
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import LimitBroken, UnreadableInput, UsageError
-from imucalib.exports import export
-from imucalib.exports.bound import demand_carried
+from imucalib.exports import demand_carried, export
 from imucalib.exports.imus import state_noise, state_walks
 from worlds.rigid_board import DEG, Board, G, Moves, board, calibration, readings
 from worlds.targets import by_kalibr, by_octave, by_opencv

@@ -23,11 +23,10 @@ from imucalib.core.fit import StoredParameter
 from imucalib.core.sphere import count_by_cell, even_directions
 from imucalib.effects import named
 from imucalib.errors import LimitBroken, UsageError
-from imucalib.exports import export
-from imucalib.exports.bound import demand_carried
-from imucalib.exports.flight.parameters import state_ids
+from imucalib.exports import demand_carried, export
+from imucalib.exports.flight import state_ids
 from imucalib.exports.imus import NOISE_UNITS
-from imucalib.exports.per_axis import nearest_row
+from imucalib.exports.nearest import nearest_row
 from worlds.stated import stated
 from worlds.targets import by_ggir, by_imu_calib, by_qgroundcontrol, by_realsense
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from goldens.test_programs import golden
-from imucalib.calibration.comparison.agreement import estimate_excess
 from imucalib.calibrators.lab.advice import chance_of_factor
 from imucalib.core.fit import Fit
+from imucalib.estimators.power_ups import estimate_excess
 from imucalib.posterior.held_out import add_density, difference
 
 

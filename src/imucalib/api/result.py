@@ -111,7 +111,7 @@ class Result:
         final = error.final if math.isnan(error.held_out.final) else error.held_out.final
         names = ", ".join(map(in_words, self.effects))
         return (
-            f"<imucalib {outcome.calibrator} of {outcome.provenance.path}: {self.status}, "
+            f"<imucalib {outcome.calibrator} of {outcome.provenance.input}: {self.status}, "
             f"{error.metric} {final:.3g} {error.unit}{f'; found: {names}' if names else ''}>"
         )
 

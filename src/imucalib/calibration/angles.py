@@ -12,10 +12,10 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.uncertainty import angle_slopes, force_slopes
-from imucalib.core.references import angles_of
+from imucalib.calibration.uncertainty import force_slopes
+from imucalib.core.references import angle_slopes, angles_of
 from imucalib.rests.segments import Segments
-from imucalib.units import MG, STANDARD_GRAVITY
+from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: Rows whose derivatives are held at once.
 _ROWS = 4096
@@ -90,7 +90,7 @@ def _uncertainty(calibration: Calibration, force: Array, noise: Array) -> Array:
     direction = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
     truth = STANDARD_GRAVITY * direction
     slope, inverse = force_slopes(model, theta, truth, calibration.context(len(force)))
-    along = angle_slopes(truth)
+    along = angle_slopes(truth) / DEG
     rows = np.einsum("anj,njp->anp", along, slope)
     own = np.einsum("anp,pq,anq->an", rows, calibration.covariance_of(model), rows)
     read = np.square(np.einsum("anj,njk->ank", along, inverse) * noise).sum(axis=-1)

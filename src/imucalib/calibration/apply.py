@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.correction import Corrector
 from imucalib.calibration.shared_gravity import check_against_gravity
@@ -24,8 +27,9 @@ from imucalib.readers import blocks, read, reader_for
 from imucalib.recording.identity import demand_device
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import Pairing
-from imucalib.recording.recording import Recording
-from imucalib.rests.segments import find_segments
+from imucalib.recording.recording import REST, Channel, Recording
+from imucalib.rests.segments import Segments, find_segments, still_segments
+from imucalib.units import MG
 from imucalib.writers import ChannelsChange, write, write_blocks
 
 _OF_MESSAGES = ("mcap", "rosbag")
@@ -49,16 +53,39 @@ def apply_to_recording(
     UnreadableInput when a covariate is missing of which not even the calibrated range is known,
     and for sensors of an array that cannot be paired; Undetermined as `check_against_gravity`.
     """
-    if calibration.triads:
-        pairing = pair_at_rest(calibration.triads, [recording])
-        found = imus_corrected(calibration, recording, pairing.partner, sensor)
-        return replace(found, notes=(*found.notes, *pairing.notes))
-    ready = Corrector(calibration, sensor, use=use, again=again)
+    ready = _corrector(calibration, sensor, use, again)
     (found,) = ready.correct_blocks(lambda: iter([recording]))
     return replace(found, notes=(*found.notes, *ready.notes))
 
 
-def pair_at_rest(triads: Sequence[Triad], found: Iterable[Recording]) -> Pairing:
+class ArrayCorrector:
+    """Corrects a recording of an array, block by block, as `Corrector` does one of a sensor.
+
+    only : the IMU that is wanted, or empty
+    """
+
+    def __init__(self, calibration: Calibration, only: str) -> None:
+        self._calibration, self._only = calibration, only
+        self.notes: tuple[str, ...] = ()
+
+    def correct_blocks(self, blocks: Callable[[], Iterator[Recording]]) -> Iterator[Recording]:
+        """The blocks with every IMU's acceleration and rate corrected; they are gone through twice.
+        Errors as of `apply_to_recording`."""
+        pairing = _pair_at_rest(self._calibration.triads, blocks())
+        self.notes = pairing.notes
+        for block in blocks():
+            yield imus_corrected(self._calibration, block, pairing.partner, self._only)
+
+
+def _corrector(
+    calibration: Calibration, sensor: str, use: str | None, again: bool
+) -> Corrector | ArrayCorrector:
+    if calibration.triads:
+        return ArrayCorrector(calibration, sensor)
+    return Corrector(calibration, sensor, use=use, again=again)
+
+
+def _pair_at_rest(triads: Sequence[Triad], found: Iterable[Recording]) -> Pairing:
     """Whose sensors are whose in a recording that comes in blocks, held against gravity at its
     rests. Errors as in `pairing.paired` and `check_against_gravity`."""
     first: list[Recording] = []
@@ -144,19 +171,11 @@ def correct_file(
 
     if reader_for(source).name in _OF_MESSAGES:
         return at_once()
-    every = partial(blocks, source, mapping, strict=strict)
+    ready = _corrector(calibration, sensor, use, again)
     notes: dict[str, None] = {}
-    ready = None if calibration.triads else Corrector(calibration, sensor, use=use, again=again)
-    found: Iterator[Recording]
-    if ready is not None:
-        found = ready.correct_blocks(every)
-    else:
-        pairing = pair_at_rest(calibration.triads, every())
-        notes = dict.fromkeys(pairing.notes)
-        found = (imus_corrected(calibration, b, pairing.partner, sensor) for b in every())
 
     def collect_notes() -> Iterator[Recording]:
-        for block in found:
+        for block in ready.correct_blocks(partial(blocks, source, mapping, strict=strict)):
             notes.update(dict.fromkeys(block.notes))
             yield block
 
@@ -164,7 +183,7 @@ def correct_file(
         write_blocks(collect_notes(), target)
     except ChannelsChange:  # the format must know its columns or topics first
         return at_once()
-    return (*notes, *(ready.notes if ready is not None else ()))
+    return (*notes, *ready.notes)
 
 
 def write_over(corrected: Recording, source: Path, target: Path) -> None:
@@ -175,3 +194,48 @@ def write_over(corrected: Recording, source: Path, target: Path) -> None:
         write_with_topics_of(corrected, source, target)
     else:
         write(corrected, target)
+
+
+def add_residuals(
+    calibration: Calibration,
+    recording: Recording,
+    sensor: str = "",
+    *,
+    use: str | None = None,
+    again: bool = False,
+) -> Recording:
+    """The corrected sensors of a recording, each with a channel "<triad>/rest" of its rests: t (n,)
+    their middles, s, and values (n, 9) as in `REST_COLUMNS`.
+
+    Options and errors as in `apply_to_recording`; Undetermined where the recording has no rest.
+    """
+    corrected = apply_to_recording(calibration, recording, sensor, use=use, again=again)
+    rests = still_segments(recording)
+    if rests.n == 0:
+        raise Undetermined(
+            "no rest, so there is no residual against gravity",
+            where=recording.path,
+            remedy="`imucal inspect FILE --rests` tells what refused them",
+        )
+    changed = {
+        channel.triad
+        for name, channel in corrected.channels.items()
+        if channel.quantity == "acceleration" and channel is not recording.channels.get(name)
+    }
+    kept = {n: c for n, c in corrected.channels.items() if c.triad in changed}
+    for name, channel in tuple(kept.items()):
+        if channel.quantity != "acceleration":
+            continue
+        k = rests.triads.index(channel.triad)
+        scale = 1.0 if recording.channels[name].unit == "m/s2" else calibration.raw_to_si
+        after = rests.means(channel.values, k)
+        values = _rows(rests, scale * rests.mean[:, k], after, calibration.gravity)
+        made = Channel(rests.middle, values, "", REST, channel.triad, 0.0)
+        kept[f"{channel.triad}/{REST}"] = made
+    return replace(corrected, channels=kept)
+
+
+def _rows(rests: Segments, before: Array, after: Array, gravity: float) -> Array:
+    sizes = (np.linalg.norm(vector, axis=1) for vector in (before, after))
+    residuals = [(size - gravity) / MG for size in sizes]
+    return np.column_stack([rests.stop - rests.start, before, after, *residuals])

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.plain import fields
 from imucalib.calibration.triads import Triad
 from imucalib.calibration.uncertainty import force_slopes, select_correctable
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit, StoredParameter
 from imucalib.core.model import Model
+from imucalib.data import fields
 from imucalib.effects import known
 from imucalib.effects.record_error import is_record_error
 from imucalib.errors import UnreadableInput, UsageError
@@ -40,6 +39,15 @@ LINEAR = ("mounting", "bias", "scale", "non_orthogonality")
 def where_assumed(covariate: str) -> str:
     """In words, where in what was calibrated a covariate acts that was not recorded."""
     return "at the end" if covariate in PASSING else "in the middle"
+
+
+def lacking(effect: str, names: Sequence[str], where: str = "") -> UnreadableInput:
+    """The error of an effect whose covariates a recording lacks. where : the recording's path"""
+    return UnreadableInput(
+        f"effect {effect} needs {', '.join(names)}, which the recording lacks",
+        where=where,
+        remedy=f"record it, or calibrate with --without {effect}",
+    )
 
 
 @dataclass(frozen=True)
@@ -249,12 +257,8 @@ class Calibration:
         model, theta = self.model()
         known = context or Context(len(flat))
         for effect in model.effects:
-            absent = [name for name in effect.needs if name not in known]
-            if absent:
-                raise UnreadableInput(
-                    f"effect {effect.name} needs {', '.join(absent)}, which the recording lacks",
-                    remedy="record it, or calibrate with --without " + effect.name,
-                )
+            if absent := [name for name in effect.needs if name not in known]:
+                raise lacking(effect.name, absent)
         force = model.correct(theta, flat[:, None], known)[:, 0]
         return np.asarray(force / size).reshape(values.shape)
 
@@ -281,10 +285,6 @@ class Calibration:
 
     def matrices(self) -> Matrices:
         """M, b and S, c of the linear part, with intrinsic scales and angles."""
-        return self._matrices
-
-    @cached_property
-    def _matrices(self) -> Matrices:
         model, theta = self.model()
         return matrices(model, theta, self.covariance_of(model))
 

@@ -15,7 +15,7 @@ from itertools import chain, product
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration, where_assumed
+from imucalib.calibration.calibration import Calibration, lacking, where_assumed
 from imucalib.calibration.file import identity
 from imucalib.calibration.gyroscope import correct_rates, gyroscope_of
 from imucalib.calibration.series import part_at, parts_of
@@ -87,12 +87,9 @@ class Corrector:
             name, found = self._name_thermometer(blocks())
             self._history = thermal_history(found, name)
         name, found = self._name_thermometer(blocks())
-        if self._warm:
-            for block, thermometer in pair_thermometer(found, name):
-                yield self._block(block, thermometer)
-        else:
-            for block in found:
-                yield self._block(block, None)
+        alone = ((block, None) for block in found)
+        for block, thermometer in pair_thermometer(found, name) if self._warm else alone:
+            yield self._block(block, thermometer)
         if not self._said:
             stated = self._calibration.find_error({"mg": 1.0}, "final")
             self._rests.demand_better(self._calibration.gravity, stated, self._path)
@@ -158,9 +155,9 @@ class Corrector:
         return out
 
     def _of_part(self, number: int, values: Array, context: Context) -> Array:
-        done = self._undo[number](values, context)
-        self._unsettled += int((~done.settled).sum())
-        return done.force
+        force, settled = self._undo[number](values, context)
+        self._unsettled += int((~settled).sum())
+        return force
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -240,12 +237,7 @@ class Corrector:
                 if not lost:
                     continue
                 if unknown := [name for name in lost if name not in valid]:
-                    names = ", ".join(unknown)
-                    raise UnreadableInput(
-                        f"effect {effect.name} needs {names}, which the recording lacks",
-                        where=recording.path,
-                        remedy="record it, or calibrate with --without " + effect.name,
-                    )
+                    raise lacking(effect.name, unknown, recording.path)
                 size = _swing(effect, theta[slices[effect.name]], self._calibration, lost)
                 self._held[_describe_held(effect.name, lost, valid, size)] = None
         usual = self._calibration.assume

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.arrays import Array
 from imucalib.atomic_file import replace_together
 from imucalib.calibration.calibration import UNSETTLED, Calibration
 from imucalib.calibration.triads import effect_covariance, triad_from
@@ -45,39 +44,15 @@ _SUM = "# imucal calibration, sha256 of the lines below: "
 #: What to do about a file that is no calibration.
 _GIVE = "give the calibration.yaml that a calibrating command wrote, before any recording"
 #: Keys that a file has; all others are facts for people.
-_KEYS = {
-    "schema",
-    "version",
-    "calibrator",
-    "status",
-    "reasons",
-    "formula",
-    "raw",
-    "gravity_m_per_s2",
-    "parameters",
-    "covariance",
-    "matrices",
-    "triads",
-    "valid",
-    "sensor",
-}
+_KEYS = (
+    "schema version calibrator status reasons formula raw gravity_m_per_s2 parameters covariance "
+    "matrices triads valid sensor"
+)
 #: Keys whose values are names, wherever they stand.
-_NAMES = {
-    "name",
-    "imu",
-    "triad",
-    "effect",
-    "effects",
-    "stage",
-    "unit",
-    "calibrator",
-    "status",
-    "channel",
-    "quantity",
-    "names",
-    "device",
-    "serial",
-}
+_NAMES = (
+    "name imu triad effect effects stage unit calibrator status channel quantity names device "
+    "serial"
+)
 
 
 def to_yaml(calibration: Calibration) -> str:
@@ -117,11 +92,6 @@ def identity(calibration: Calibration) -> str:
     """SHA-256 of a calibration's file; one that was not read from a file is hashed as it would be
     written."""
     return calibration.sha256 or hashlib.sha256(to_yaml(calibration).encode()).hexdigest()
-
-
-def write(calibration: Calibration, path: Path) -> None:
-    """Write the YAML file whole or not at all."""
-    write_whole(path, to_yaml(calibration))
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -197,8 +167,9 @@ def _inside(block: Any, above: str = "") -> Iterator[tuple[str, str, Any]]:
 
 def _check_names(content: Mapping[str, Any], where: str) -> None:
     """Raise UnreadableInput for a name that could be taken for code where it is exported to."""
+    keys = _NAMES.split()
     for place, key, value in _inside(content):
-        values = (value if isinstance(value, list | tuple) else [value]) if key in _NAMES else []
+        values = (value if isinstance(value, list | tuple) else [value]) if key in keys else []
         for name in (key, *(v for v in values if isinstance(v, str))):
             if why := fault(name):
                 raise UnreadableInput(
@@ -224,7 +195,7 @@ def _calibration(content: dict[str, Any]) -> Calibration:
         status=str(content["status"]),
         reasons=tuple(content["reasons"]),
         valid={name: (float(a), float(b)) for name, (a, b) in content["valid"].items()},
-        facts={name: block for name, block in content.items() if name not in _KEYS},
+        facts={name: block for name, block in content.items() if name not in _KEYS.split()},
         triads=tuple(triad_from(block) for block in content.get("triads", ())),
         sensor=identity_from(content["sensor"]),
     )
@@ -239,7 +210,14 @@ def parameter_from(block: Mapping[str, Any]) -> StoredParameter:
 def check(calibration: Calibration, where: str) -> None:
     """Raise UnreadableInput unless the content makes sense: a covariance, an invertible model."""
     for covariance in (calibration.covariance, *(t.covariance for t in calibration.triads)):
-        _demand_covariance(covariance, where)
+        if not np.isfinite(covariance).all() or not np.allclose(
+            covariance, covariance.T, rtol=1e-6
+        ):
+            raise UnreadableInput("the covariance is not finite and symmetric", where=where)
+        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        size = np.where(sd > 0.0, sd, 1.0)
+        if np.linalg.eigvalsh(covariance / np.outer(size, size)).min(initial=0.0) < -1e-6:
+            raise UnreadableInput("the covariance is not positive", where=where)
     own = np.sqrt(np.maximum(np.diag(calibration.covariance), 0.0))
     if not np.allclose(own, [p.sd for p in calibration.parameters], rtol=1e-6, atol=1e-12):
         raise UnreadableInput("the standard deviations contradict the covariance", where=where)
@@ -249,13 +227,3 @@ def check(calibration: Calibration, where: str) -> None:
     gains += [model.predict(theta, np.zeros((1, 1, 3)), Context(1, zeros)).d_truth[0, 0]]
     if min(abs(np.linalg.det(gain)) for gain in gains) < 1e-3:
         raise UnreadableInput("the calibration cannot be inverted", where=where)
-
-
-def _demand_covariance(covariance: Array, where: str) -> None:
-    """Raise UnreadableInput for a matrix that is none."""
-    if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6):
-        raise UnreadableInput("the covariance is not finite and symmetric", where=where)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    size = np.where(sd > 0.0, sd, 1.0)
-    if np.linalg.eigvalsh(covariance / np.outer(size, size)).min(initial=0.0) < -1e-6:
-        raise UnreadableInput("the covariance is not positive", where=where)

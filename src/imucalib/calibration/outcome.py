@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
+
+from imucalib import __version__
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Findings
-from imucalib.calibration.provenance import Provenance
 from imucalib.core.fit import Fit
 from imucalib.data import Data
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
@@ -36,6 +41,33 @@ _CORRECTED = (
 )
 
 
+class Provenance(Data, kw_only=True):
+    """Where the numbers come from; enough to compute them again."""
+
+    input: str
+    sha256: str
+    inputs_sha256: Annotated[tuple[str, ...] | None, "Of each file, where it is several."] = None
+    samples: int
+    gaps: int
+    mapping: Annotated[Mapping[str, Any], "How it was read."]
+    settings: Mapping[str, Any]
+    command: Annotated[str, "That was typed."]
+    seed: int
+    versions: Mapping[str, str]
+    time: str
+
+    @property
+    def footer(self) -> tuple[tuple[str, str], ...]:
+        """What is at the foot of every report."""
+        return (
+            ("input", f"{self.input}, sha256 {self.sha256[:16]}…"),
+            *((("command", self.command),) if self.command else ()),
+            ("seed", str(self.seed)),
+            ("versions", ", ".join(f"{k} {v}" for k, v in self.versions.items())),
+            ("time", self.time),
+        )
+
+
 class HeldOutError(Data):
     """Errors of one metric on data that was not fitted; NaN where there is none."""
 
@@ -56,19 +88,18 @@ class ErrorSummary(Data):
     held_out: HeldOutError
 
 
-@dataclass(frozen=True)
-class Limit:
-    """A limit that the user set, and the value that is held against it."""
+class Limit(Data):
+    """A limit that was set, and the value that is held against it."""
 
     name: str
     value: float
     limit: float
     unit: str
+    broken: bool = field(init=False)
 
-    @property
-    def broken(self) -> bool:
-        """A value that does not exist (NaN) passes no limit."""
-        return not self.value <= self.limit
+    def __post_init__(self) -> None:
+        # A value that does not exist (NaN) passes no limit.
+        object.__setattr__(self, "broken", not self.value <= self.limit)
 
     @property
     def sentence(self) -> str:
@@ -78,18 +109,17 @@ class Limit:
         return f"{self.name}: {self.value:.3g} {self.unit} exceeds {self.limit:g}"
 
 
-@dataclass(frozen=True)
-class Left:
+class Left(Data):
     """What is left unexplained of one thing, in the user's terms, and how much is accepted."""
 
     name: str
     value: float
     accepted: float
     unit: str
+    beyond: bool = field(init=False)
 
-    @property
-    def beyond(self) -> bool:
-        return self.value > self.accepted
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "beyond", self.value > self.accepted)
 
     @property
     def sentence(self) -> str:
@@ -209,3 +239,43 @@ class Run:
     outcome: Outcome
     calibration: Calibration
     details: Data | Mapping[str, Any] = field(default_factory=dict)
+
+
+def provenance_of(
+    *,
+    path: str,
+    sha256: str,
+    samples: int,
+    mapping: Mapping[str, object],
+    settings: Mapping[str, object],
+    seed: int = 0,
+    gaps: int = 0,
+    command: str = "",
+    parts: tuple[str, ...] = (),
+) -> Provenance:
+    """The provenance of a run that ends now, on this machine.
+
+    path, sha256 : of the input; parts : sha256 of each file, where it is several
+    mapping : how it was read; command : the line that was typed, or empty
+    """
+    import scipy
+
+    versions = {
+        "imucalib": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+    return Provenance(
+        input=Path(path).name,
+        sha256=sha256,
+        inputs_sha256=parts or None,
+        samples=samples,
+        gaps=gaps,
+        mapping=mapping,
+        settings=settings,
+        seed=seed,
+        versions=versions,
+        time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        command=command,
+    )

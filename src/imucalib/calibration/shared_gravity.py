@@ -100,12 +100,14 @@ def check_against_gravity(
     noise = max(float(variance.mean()), float(other.sum()) / freedom)
     ahead = float(own.sum() - other.sum()) / (2.0 * noise)
     if ahead > lgamma(len(names) + 1.0) + _PRIOR:
+        rows = zip(names, given, best, strict=True)
+        others = (f"{n} is {triads[b].name}, not {triads[a].name}" for n, a, b in rows if a != b)
         raise Undetermined(
             f"at rest the corrected accelerometers disagree about gravity by up to "
             f"{np.sqrt(own.max()) / MG:.3g} mg; paired otherwise, by {_in_mg(other)} mg",
             where=where,
             remedy="if these are the sensors that were calibrated, name the recording's so with a "
-            "mapping (key triads): " + _words_of_pairing(names, given, best, triads),
+            "mapping (key triads): " + ", ".join(others),
         )
     worst = int(np.argmax(own))
     if own[worst] > _ANOTHER_SENSOR**2:
@@ -125,13 +127,6 @@ def check_against_gravity(
 
 def _in_mg(square: Array) -> str:
     return f"{np.sqrt(float(square.max())) / MG:.3g}"
-
-
-def _words_of_pairing(
-    names: Sequence[str], given: Index, best: Index, triads: Sequence[Triad]
-) -> str:
-    rows = zip(names, given, best, strict=True)
-    return ", ".join(f"{n} is {triads[b].name}, not {triads[a].name}" for n, a, b in rows if a != b)
 
 
 def _variance(

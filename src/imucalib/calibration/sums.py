@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.plain import fields
+from imucalib.data import fields
 from imucalib.posterior.closed_loop.sums import BaseParameters, Sums
 
 #: Key of the block.

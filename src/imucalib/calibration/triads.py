@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.plain import fields
+from imucalib.data import fields
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.pairing import Pairing, pair
 from imucalib.recording.recording import Channel, Recording

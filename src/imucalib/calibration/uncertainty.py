@@ -2,10 +2,7 @@
 
 Corrected specific force a = correct(reading) moves with the parameters as δa = -D⁻¹ J δθ, where J
 and D are the derivatives of the predicted reading by the parameters and by the force in the tool's
-frame. Then (paper 004, formulae (1) and (2), p. 2, differentiated):
-
-    δ tool-face = (a_y δa_x - a_x δa_y) / (a_x² + a_y²)
-    δ inclination = (h δa_z - a_z (a_x δa_x + a_y δa_y) / h) / |a|²,   h² = a_x² + a_y²
+frame; angles as of `core.references.angle_slopes`.
 """
 
 from __future__ import annotations
@@ -19,7 +16,7 @@ from imucalib.arrays import Array, Index
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
-from imucalib.core.references import unit_vector
+from imucalib.core.references import angle_slopes, unit_vector
 from imucalib.effects.record_error import is_record_error
 from imucalib.units import DEG
 
@@ -37,16 +34,6 @@ def force_slopes(model: Model, theta: Array, force: Array, context: Context) -> 
     seen = model.predict(theta, force[:, None], context)
     inverse = np.asarray(np.linalg.inv(seen.d_truth[:, 0]), np.float64)
     return -inverse @ seen.d_theta[:, 0], inverse
-
-
-def angle_slopes(force: Array) -> Array:
-    """(2, n, 3) deg per m/s², of inclination and tool-face by the specific force (n, 3) m/s²."""
-    x, y, z = force.T
-    h = np.maximum(np.hypot(x, y), 1e-12)
-    inclination = np.stack([-z * x / h, -z * y / h, h], axis=-1)
-    tool_face = np.stack([y, -x, np.zeros_like(x)], axis=-1)
-    square = np.stack([np.sum(force**2, axis=1), h**2])
-    return np.asarray(np.stack([inclination, tool_face]) / square[..., None] / DEG)
 
 
 @dataclass(frozen=True)
@@ -76,8 +63,8 @@ def angle_uncertainty(
     inclination, tool_face : (n,) rad; gravity : m/s²; reading_sigma : m/s², noise of one reading
     """
     force = gravity * unit_vector(inclination, tool_face)
-    slope, inverse = force_slope(fit, force[:, None])
-    along = angle_slopes(force)
+    slope, inverse = force_slope(fit, force)
+    along = angle_slopes(force) / DEG
     rows = np.einsum("anj,njp->anp", along, slope)
     variance = np.einsum("anp,pq,anq->an", rows, fit.covariance, rows)
     sd = np.sqrt(np.maximum(variance, 0.0))
@@ -95,17 +82,23 @@ def angle_uncertainty(
 
 
 def force_slope(fit: Fit, force: Array) -> tuple[Array, Array]:
-    """`force_slopes` of a fit at forces (n, 1, 3) m/s², by all of its parameters.
+    """`force_slopes` of a fit at forces (n, 3) m/s², by all of its parameters.
 
     The fixture's and single records' parameters do not act on a corrected reading: zero columns.
     """
     model, theta, context = _select_corrector(fit, len(force))
-    own, inverse = force_slopes(model, theta, force[:, 0], context)
+    own, inverse = force_slopes(model, theta, force, context)
     slices = fit.model.slices(fit.observations.context)
     slope = np.zeros((*own.shape[:2], fit.theta.size))
     for name, part in model.slices(context).items():
         slope[..., slices[name]] = own[..., part]
     return slope, inverse
+
+
+def predict_readings(fit: Fit, force: Array) -> Array:
+    """Readings (n, 3) m/s² that `correct_readings` takes to specific forces (n, 3) m/s²."""
+    model, theta, context = _select_corrector(fit, len(force))
+    return model.predict(theta, force[:, None], context).reading[:, 0]
 
 
 def correct_readings(fit: Fit, reading: Array) -> Array:

@@ -10,8 +10,6 @@ in on the answer by the slope of N + C each time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imucalib.arrays import Array, Flags
@@ -25,14 +23,6 @@ _NEAR, _FAR = 1.25 * STANDARD_GRAVITY, 32.0 * STANDARD_GRAVITY  # its fine part,
 _COARSE = 10.0  # times as wide a step beyond
 _ROUNDS, _CLOSE = 25, 1e-7  # steps at most, and m/s² at which a sample is settled
 _SMALL = 1e-12  # of what an effect does, below which a part of it is none
-
-
-@dataclass(frozen=True)
-class Undone:
-    """force : (n, 3) m/s²; settled : (n,) where no correction was found, the linear one stands."""
-
-    force: Array
-    settled: Flags
 
 
 class _Table:
@@ -89,17 +79,18 @@ class Undo:
             act = effect.act(theta[self._slices[effect.name]], Truth(np.zeros((1, 1, 3))), bare)
             self._turn = np.linalg.inv(np.eye(3) + act.d_x[0, 0]) @ self._turn
 
-    def __call__(self, reading: Array, known: Context) -> Undone:
-        """Readings (n, 3) m/s² corrected to specific force. known : covariates of every sample."""
+    def __call__(self, reading: Array, known: Context) -> tuple[Array, Flags]:
+        """Readings (n, 3) m/s² corrected to specific force (n, 3), and (n,) whether each was: else
+        its linear correction stands. known : covariates of every sample"""
         if self._exact is not None:
             force = self._exact.correct(self._theta, reading[:, None], known)[:, 0]
-            return Undone(force, np.ones(len(reading), dtype=np.bool_))
+            return force, np.ones(len(reading), dtype=np.bool_)
         force, settled = np.empty_like(reading), np.empty(len(reading), dtype=np.bool_)
         for start in range(0, len(reading), _ROWS):
             rows = np.arange(start, min(start + _ROWS, len(reading)))
             part = known.take(rows)
             force[rows], settled[rows] = self._some(reading[rows], part)
-        return Undone(force @ self._turn.T, settled)
+        return force @ self._turn.T, settled
 
     def _some(self, reading: Array, known: Context) -> tuple[Array, Flags]:
         linear = (reading - self._offset) @ self._inverse.T
@@ -166,17 +157,9 @@ class Undo:
             self._offset = self._offset - self._delta(effect, np.zeros((1, 3)), Context(1))[0]
             return
         for axis in range(3):
-            values = self._along(effect, axis)
+            values = self._rest(effect, self._grid[:, None] * np.eye(3)[axis])
             for out in np.flatnonzero(np.abs(values).max(axis=0) > _SMALL):
                 self._tables.append((axis, int(out), _Table(self._grid, values[:, out].copy())))
-
-    def _along(self, effect: Effect, axis: int) -> Array:
-        """(grid, 3) beyond first order along one axis."""
-        parts = [
-            self._rest(effect, self._grid[start : start + _ROWS, None] * np.eye(3)[axis])
-            for start in range(0, len(self._grid), _ROWS)
-        ]
-        return np.concatenate(parts)
 
 
 def _grid() -> Array:

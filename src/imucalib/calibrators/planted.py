@@ -56,19 +56,18 @@ def fault_of(text: str) -> PlantedFault:
         raise UsageError(f"'{text}' is no fault", remedy=f"give {_KINDS}")
     if kind == "sign" and parts[1] not in ("x", "y", "z"):
         raise UsageError(f"'{text}': the axis is x, y or z")
-    return PlantedFault(
-        kind, parts, tuple(_number(p, text) for p in parts) if kind in _NUMBERS else ()
-    )
+    numbers = tuple(map(_number, parts)) if kind in _NUMBERS else ()
+    for part, number in zip(parts, numbers, strict=False):
+        if not number >= 0.0:
+            raise UsageError(f"'{text}': '{part}' is no time or size")
+    return PlantedFault(kind, parts, numbers)
 
 
-def _number(text: str, whole: str) -> float:
+def _number(text: str) -> float:
     try:
-        value = float(text)
+        return float(text)
     except ValueError:
-        value = np.nan
-    if not value >= 0.0:
-        raise UsageError(f"'{whole}': '{text}' is no time or size")
-    return value
+        return np.nan
 
 
 def with_faults(recording: Recording, faults: Sequence[PlantedFault]) -> Recording:

@@ -10,41 +10,12 @@ from typing import Annotated, Any
 
 from imucalib.arrays import Array
 from imucalib.calibration.findings import Findings, Gain, Untestable
-from imucalib.calibration.outcome import ErrorSummary, Run, Status
-from imucalib.calibration.provenance import Origin
+from imucalib.calibration.outcome import ErrorSummary, Left, Limit, Provenance, Run, Status
 from imucalib.core.fit import StoredParameter
 from imucalib.data import Data, plain
 from imucalib.posterior.closed_loop.found import Score, Step, Unexplained
 from imucalib.recording.identity import Identity
 from imucalib.significant_digits import per_cent
-
-
-class OnboardFacts(Data):
-    """In a flight controller, whose log has scale (raw - offset) of the sensor."""
-
-    slot: Annotated[int | None, "Number in its parameters."] = None
-    device: Annotated[int | None, "Its id."] = None
-    offset: Annotated[tuple[float, ...] | None, "In SI units."] = None
-    scale: tuple[float, ...] | None = None
-    law: Annotated[str | None, "A stored one over temperature: taken off before, or ahead."] = None
-    fault: Annotated[str | None, "Why no parameters are composed."] = None
-
-
-class SensorFacts(Data):
-    """Which sensor of which device it is, as the recording says; what it does not say is absent."""
-
-    name: Annotated[str | None, "In the recording."] = None
-    names: Annotated[tuple[str, ...] | None, "Topic or dataset, frame_id."] = None
-    topic: str | None = None
-    device: str | None = None
-    serial: str | None = None
-    unit: Annotated[str | None, "Of the readings in the file."] = None
-    to_m_per_s2: tuple[float, ...] | None = None
-    zero: Annotated[tuple[float, ...] | None, "Taken off readings in the unit before."] = None
-    step: Annotated[tuple[float, ...] | None, "Smallest step between readings, m/s2."] = None
-    rate_hz: float | None = None
-    onboard: OnboardFacts | None = None
-    onboard_rate: OnboardFacts | None = None
 
 
 class Covariance(Data):
@@ -103,26 +74,6 @@ class LoopFacts(Data):
     candidates: tuple[Score, ...]
 
 
-class LimitFacts(Data):
-    """A limit that was set."""
-
-    name: str
-    value: float
-    limit: float
-    unit: str
-    broken: bool
-
-
-class LeftFacts(Data):
-    """What is left unexplained."""
-
-    name: str
-    value: float
-    accepted: float
-    unit: str
-    beyond: bool
-
-
 class Worth(Data):
     """What the sensor is good to in a quantity."""
 
@@ -176,15 +127,15 @@ class Result(Data, name="report/2"):
     status: Status
     exit_code: int
     reasons: tuple[str, ...]
-    sensor: SensorFacts
+    sensor: Identity
     parameters: tuple[StoredParameter, ...]
     covariance: Covariance
     loop: LoopFacts
-    limits: tuple[LimitFacts, ...]
+    limits: tuple[Limit, ...]
     undecided: tuple[str, ...]
-    left: tuple[LeftFacts, ...]
+    left: tuple[Left, ...]
     notes: tuple[str, ...]
-    provenance: Origin
+    provenance: Provenance
     triads: Annotated[tuple[Mapping[str, Any], ...] | None, "Of an array."] = None
     matrices: Annotated[Mapping[str, Any] | None, "Of one sensor: its linear part."] = None
     card: CardFacts | None = None
@@ -195,38 +146,29 @@ def describe_run(run: Run) -> dict[str, Any]:
     """The report as plain types, with the blocks that only this calibrator has."""
     outcome, calibration = run.outcome, run.calibration
     triads = tuple(triad.as_dict() for triad in calibration.triads) or None
+    estimated, fit = Covariance(calibration.covariance), outcome.fit
+    if fit is not None:
+        renamed = "noise_factor=noise.factor"
+        estimated = Covariance.of(fit, renamed, estimated_noise=calibration.covariance)
     made = Result(
         calibrator=outcome.calibrator,
         status=outcome.status,
         exit_code=outcome.exit_code,
         reasons=outcome.reasons,
-        sensor=_describe_sensor(outcome.sensor),
+        sensor=outcome.sensor,
         parameters=calibration.parameters,
-        covariance=_covariance(run),
+        covariance=estimated,
         loop=_describe_loop(run),
-        limits=tuple(map(LimitFacts.of, outcome.limits)),
+        limits=outcome.limits,
         undecided=tuple(map(str, outcome.undecided)),
-        left=tuple(map(LeftFacts.of, outcome.left)),
+        left=outcome.left,
         notes=outcome.notes,
-        provenance=outcome.provenance.described,
+        provenance=outcome.provenance,
         triads=triads,
         matrices=None if triads else calibration.matrices().as_dict(),
     )
     whole: dict[str, Any] = made.as_dict() | plain(run.details)
     return whole
-
-
-def _describe_sensor(sensor: Identity) -> SensorFacts:
-    known: dict[str, Any] = sensor.as_dict()
-    boards = {k: OnboardFacts(**v) for k, v in known.items() if isinstance(v, dict)}
-    return SensorFacts(**known | boards)
-
-
-def _covariance(run: Run) -> Covariance:
-    covariance, fit = run.calibration.covariance, run.outcome.fit
-    if fit is None:
-        return Covariance(covariance)
-    return Covariance.of(fit, "noise_factor=noise.factor", estimated_noise=covariance)
 
 
 def _describe_loop(run: Run) -> LoopFacts:

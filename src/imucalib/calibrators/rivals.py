@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.uncertainty import correct_readings, force_slope
+from imucalib.calibration.uncertainty import correct_readings, force_slope, predict_readings
 from imucalib.core.fit import Fit, NoiseMixture
 from imucalib.core.sphere import even_directions
 from imucalib.errors import NotConverged
@@ -36,10 +36,10 @@ def mix_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
     others = [r for r in rivals if r is not own]
     if not others or own is None:
         return fit
-    force = gravity * even_directions(_ATTITUDES)[:, None]
+    force = gravity * even_directions(_ATTITUDES)
     slope = force_slope(fit, force)[0].reshape(3 * _ATTITUDES, -1)
     try:
-        reading = _readings(own.fit, force)
+        reading = predict_readings(own.fit, force)
         plain = correct_readings(own.fit, reading)
     except NotConverged:  # its inverse ends where the recording did
         return fit
@@ -64,17 +64,6 @@ def mix_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
         mixture.log_sd, total / total.sum(), np.concatenate(shift), np.concatenate(spread)
     )
     return replace(fit, covariance=fit.covariance + more, mixture=whole)
-
-
-def _readings(fit: Fit, force: Array) -> Array:
-    """(n, 3) what the sensor of a fit reads under forces (n, 1, 3)."""
-    _, inverse = force_slope(fit, force)
-    nothing = correct_readings(fit, np.zeros((1, 3)))[0]
-    reading = np.linalg.solve(inverse, (force[:, 0] - nothing)[..., None])[..., 0]
-    for _ in range(8):  # Newton: readings whose correction is the force
-        off = force[:, 0] - correct_readings(fit, reading)
-        reading = reading + np.linalg.solve(inverse, off[..., None])[..., 0]
-    return np.asarray(reading)
 
 
 def _shift(fit: Fit, slope: Array, away: Array) -> tuple[Array, Array]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -12,38 +11,6 @@ from imucalib.arrays import Array
 from imucalib.core.fit import NoiseMixture
 from imucalib.data import Data
 from imucalib.estimators.power_ups import Parts, sizes_allowed
-
-
-@dataclass(frozen=True)
-class Between:
-    """The scatter of one component between sessions.
-
-    name : of the component; effect : whose parameters carry it; unit : that it is given in; sd : of
-    all axes; interval : 95 % of what the data allow
-    offsets, offsets_sd : (sessions, 3) of each session from the mean, in that unit
-    """
-
-    name: str
-    effect: str
-    unit: str
-    sd: float
-    interval: tuple[float, float]
-    offsets: Array
-    offsets_sd: Array
-
-
-@dataclass(frozen=True)
-class NextPowerUp:
-    """A parameter after the next power-up: mean : sd of the mean over power-ups, sd : of the next
-    one, half : half of its 95 % interval"""
-
-    name: str
-    effect: str
-    unit: str
-    value: float
-    mean: float
-    sd: float
-    half: float
 
 
 class ScatterFacts(Data):
@@ -57,6 +24,11 @@ class ScatterFacts(Data):
     offsets: Annotated[Array, "Of each session from the mean, by axis."]
     offsets_sd: Array
 
+    @property
+    def effect(self) -> str:
+        """Whose parameters carry it: "bias" of "session bias"."""
+        return self.what.rpartition(" ")[2]
+
 
 class NextPowerUpFacts(Data):
     """A parameter after the next power-up."""
@@ -68,6 +40,11 @@ class NextPowerUpFacts(Data):
     sd_next_power_up: float
     half_of_95: Annotated[float, "Of the interval of the next one."]
 
+    @property
+    def effect(self) -> str:
+        """Whose it is: "bias" of "bias_x"."""
+        return self.parameter.rpartition("_")[0]
+
 
 class BetweenSessions(Data):
     """How much power-ups scatter, each one's own offset, and the next one's parameters."""
@@ -77,35 +54,12 @@ class BetweenSessions(Data):
     next_power_up: tuple[NextPowerUpFacts, ...]
 
 
-@dataclass(frozen=True)
-class Sessions:
-    """names : of the sessions, in the order of the offsets; between : what scatters between them;
-    parameters : every one that changes with power-ups"""
-
-    names: tuple[str, ...]
-    between: tuple[Between, ...]
-    parameters: tuple[NextPowerUp, ...]
-
-    def describe(self) -> BetweenSessions:
-        """What report.json and calibration.yaml tell of it."""
-        facts = "parameter=name sd_of_mean=mean sd_next_power_up=sd half_of_95=half"
-        scatter = tuple(
-            ScatterFacts.of(one, "what=name", low_95=one.interval[0], high_95=one.interval[1])
-            for one in self.between
-        )
-        following = tuple(NextPowerUpFacts.of(one, facts) for one in self.parameters)
-        return BetweenSessions(self.names, scatter, following)
-
-
 def estimate_scatter(
-    what: tuple[str, str, str],
-    parts: Parts,
-    sd: float,
-    parameters: Sequence[tuple[str, float, float]],
-) -> tuple[Between, tuple[NextPowerUp, ...]]:
+    what: str, unit: str, parts: Parts, sd: float, parameters: Sequence[tuple[str, float, float]]
+) -> tuple[ScatterFacts, tuple[NextPowerUpFacts, ...]]:
     """The scatter of parts, and their parameters after the next power-up.
 
-    what : name, effect and unit; parts : three each, in that unit; sd : that the fit has taken them
+    what : name of the component; parts : three each, in the unit; sd : that the fit has taken them
     to scatter by; parameters : name, value of the mean and its sd, none where nothing carries them
     """
     sizes, weights, by_axis = sizes_allowed(parts, sd)
@@ -113,7 +67,6 @@ def estimate_scatter(
     below = np.cumsum(weights) - 0.5 * weights
     low, high = np.interp((0.025, 0.975), below, sizes)
     found = []
-    name, effect, unit = what
     for axis, (parameter, value, mean) in enumerate(parameters):
         # The mean's variance holds a share of what the scatter is taken to be.
         share = (sizes**2 - sd**2) / len(offsets)
@@ -125,23 +78,22 @@ def estimate_scatter(
             covariance=var[:, None, None],
         )
         found.append(
-            NextPowerUp(
-                name=parameter,
-                effect=effect,
+            NextPowerUpFacts(
+                parameter=parameter,
                 unit=unit,
                 value=value,
-                mean=mean,
-                sd=float(np.sqrt(by_axis[axis] @ var)),
-                half=float(next_one.half_widths(np.ones((1, 1)), 0.95)[0]),
+                sd_of_mean=mean,
+                sd_next_power_up=float(np.sqrt(by_axis[axis] @ var)),
+                half_of_95=float(next_one.half_widths(np.ones((1, 1)), 0.95)[0]),
             )
         )
-    between = Between(
-        name=name,
-        effect=effect,
+    scatter = ScatterFacts(
+        what=what,
         unit=unit,
         sd=sd,
-        interval=(float(low), float(high)),
+        low_95=float(low),
+        high_95=float(high),
         offsets=offsets,
         offsets_sd=np.sqrt(np.maximum(np.diag(spread), 0.0)).reshape(-1, 3),
     )
-    return between, tuple(found)
+    return scatter, tuple(found)

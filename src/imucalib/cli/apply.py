@@ -142,7 +142,7 @@ def _residuals(
     calibration: Calibration, source: Path, mapping: FieldMapping, options: dict[str, Any]
 ) -> None:
     """Write what rests read before and after."""
-    from imucalib.calibration.residuals import add_residuals
+    from imucalib.calibration.apply import add_residuals
     from imucalib.readers import read
     from imucalib.writers.residuals import write_residuals
 

@@ -241,7 +241,7 @@ def _workers(address: str | None, patience: float) -> Iterator[Cluster | None]:
 
 
 def serve(run: Callable[[], None]) -> None:
-    """Answer a `cohort.worker.Worker` until stdin ends: each command is a fork of this process.
+    """Answer a `cohort.batch.Worker` until stdin ends: each command is a fork of this process.
 
     run : does what `sys.argv` says, and ends by SystemExit
     """
@@ -345,8 +345,7 @@ def _rows_for_ggir(entries: Iterable[Path], quiet: bool) -> list[str]:
     from imucalib.calibration.file import read
     from imucalib.cohort.entries import calibration_beside, read_entry
     from imucalib.errors import ImucalError
-    from imucalib.exports import export
-    from imucalib.exports.bound import demand_carried
+    from imucalib.exports import demand_carried, export
 
     lines: list[str] = []
     for entry, path in ((one, calibration_beside(one)) for one in entries):

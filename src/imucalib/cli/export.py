@@ -78,8 +78,7 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
       imucal export out/calibration.yaml --to kalibr --noise imu.yaml -o imus.yaml
     """
     from imucalib.calibration.file import write_together
-    from imucalib.exports import export
-    from imucalib.exports.bound import demand_carried
+    from imucalib.exports import demand_carried, export
 
     bounds: tuple[float | None, ...] = (None,)
     if (text := options["largest_loss"]) is not None:
@@ -115,7 +114,7 @@ def command(calibration: Path, form: str, output: Path | None, **options: Any) -
 
 def _apply_stated(calibration: Calibration, form: str, options: dict[str, Any]) -> Calibration:
     """With the noise and the ids that are stated beside it; raises click's usage errors."""
-    from imucalib.exports.flight.parameters import FLIGHT, state_ids
+    from imucalib.exports.flight import FLIGHT, state_ids
     from imucalib.exports.imus import state_noise, state_walks
     from imucalib.recording.identity import NAMELESS
     from imucalib.recording.pairing import fault

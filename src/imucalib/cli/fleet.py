@@ -82,8 +82,7 @@ def _fleet(inputs: tuple[Path, ...], options: dict[str, Any], say: Say) -> Fleet
     """Of tables, or of calibrations; raises UsageError where they are mixed."""
     from imucalib.calibrators.lab.files import LabFiles
     from imucalib.calibrators.lab.request import LabRequest
-    from imucalib.cohort.fleet.calibrated import is_calibrated
-    from imucalib.cohort.fleet.recorded import Wanted, run_recorded
+    from imucalib.cohort.fleet.recorded import Wanted, is_calibrated, run_recorded
     from imucalib.cohort.fleet.run import run_fleet
     from imucalib.errors import UsageError
 
@@ -146,8 +145,8 @@ def _write(
     fleet: Fleet, document: Document, content: Mapping[str, Any], folder: Path, quiet: bool
 ) -> None:
     from imucalib.calibration.file import to_yaml, write_together
-    from imucalib.calibration.plain import json_text
     from imucalib.calibrators.population import to_yaml as to_text
+    from imucalib.data import json_text
     from imucalib.report.render.html import render_html
 
     made = {

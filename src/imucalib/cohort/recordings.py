@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import glob
 import os
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -63,7 +64,10 @@ def _of_one(path: Path) -> tuple[list[Path], list[str]]:
     names = _manifest(path)
     if names is None:
         return [_absolute(path)], []
-    return _list_recordings(path, names), [f"{path}: a manifest of {len(names)}"]
+    found = [_absolute(path.parent / name) for name in names]
+    if twice := sorted(str(p) for p, times in Counter(found).items() if times > 1):
+        raise UnreadableInput(f"named twice: {', '.join(twice)}", where=str(path))
+    return found, [f"{path}: a manifest of {len(names)}"]
 
 
 def _in_folder(folder: Path) -> tuple[list[Path], list[str]]:
@@ -132,8 +136,9 @@ def _manifest(path: Path) -> tuple[str, ...] | None:
     if not head.strip():
         return None
     lines = _entries(head)[:_LINES]
+    nothing = UnreadableInput("the manifest names no recording", where=str(path))
     if not lines:
-        raise UnreadableInput("the manifest names no recording", where=str(path))
+        raise nothing
     separator = _separator(lines[0])
     if separator is None and not any(os.path.exists(path.parent / line) for line in lines):
         if _has_numbers(path):
@@ -147,10 +152,12 @@ def _manifest(path: Path) -> tuple[str, ...] | None:
         whole = _entries(path.read_bytes().decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise UnreadableInput("the manifest is no text in UTF-8", where=str(path)) from None
-    if separator is None:
-        return tuple(whole)
-    rows = csv.DictReader(whole, delimiter=separator)
-    return tuple(str(row["path"]).strip() for row in rows if row["path"])
+    if separator is not None:
+        rows = csv.DictReader(whole, delimiter=separator)
+        whole = [str(row["path"]).strip() for row in rows if row["path"]]
+    if not whole:
+        raise nothing
+    return tuple(whole)
 
 
 def _entries(text: str) -> list[str]:
@@ -165,13 +172,3 @@ def _separator(heading: str) -> str | None:
         if "path" in next(csv.reader([heading], delimiter=separator)):
             return separator
     return None
-
-
-def _list_recordings(path: Path, names: tuple[str, ...]) -> list[Path]:
-    found = [_absolute(path.parent / name) for name in names]
-    if not found:
-        raise UnreadableInput("the manifest names no recording", where=str(path))
-    if len(set(found)) < len(found):
-        twice = sorted({str(p) for p in found if found.count(p) > 1})
-        raise UnreadableInput(f"named twice: {', '.join(twice)}", where=str(path))
-    return found

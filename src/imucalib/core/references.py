@@ -76,6 +76,21 @@ def angles_of(vector: Array) -> tuple[Array, Array]:
     return np.arctan2(z, np.hypot(x, y)), np.mod(np.arctan2(x, y), 2.0 * np.pi)
 
 
+def angle_slopes(vector: Array) -> Array:
+    """(2, n, 3) rad by the components of vectors (n, 3), of inclination and tool-face: formulae (1)
+    and (2) of paper 004, p. 2, differentiated,
+
+    δ tool-face = (a_y δa_x - a_x δa_y) / (a_x² + a_y²)
+    δ inclination = (h δa_z - a_z (a_x δa_x + a_y δa_y) / h) / |a|²,   h² = a_x² + a_y²
+    """
+    x, y, z = vector.T
+    h = np.maximum(np.hypot(x, y), 1e-12)
+    inclination = np.stack([-z * x / h, -z * y / h, h], axis=-1)
+    tool_face = np.stack([y, -x, np.zeros_like(x)], axis=-1)
+    square = np.stack([np.sum(vector**2, axis=1), h**2])
+    return np.asarray(np.stack([inclination, tool_face]) / square[..., None])
+
+
 def tangents(direction: Array) -> Array:
     """(n, 3, 2) two unit vectors square to each unit vector (n, 3) and to each other."""
     # The axis that is least along it gives a well-conditioned frame everywhere on the sphere.

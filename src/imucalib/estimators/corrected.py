@@ -17,7 +17,7 @@ from imucalib.core.balance import Noise
 from imucalib.core.fit import Fit, null_directions
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.core.references import KnownVector, angles_of, unit_vector
+from imucalib.core.references import KnownVector, angle_slopes, angles_of, unit_vector
 from imucalib.errors import NotConverged, UsageError
 from imucalib.estimators.least_squares import evaluate
 from imucalib.estimators.levenberg_marquardt import minimise
@@ -61,14 +61,11 @@ def angles(corrected: Array, reference: KnownVector) -> tuple[Array, Array]:
     residual = np.concatenate(
         [i - reference.inclination, weight * turn, size / reference.gravity - 1.0]
     )
-    x, y, z = corrected.T
-    h = np.maximum(np.hypot(x, y), 1e-9)
-    by_i = np.stack([-z * x / h, -z * y / h, h], axis=-1) / (size**2)[:, None]
-    by_t = np.stack([y, -x, np.zeros(n)], axis=-1) * (weight / h**2)[:, None]
+    by_i, by_t = angle_slopes(corrected)
     by_n = corrected / size[:, None] / reference.gravity
     slope = np.zeros((3 * n, n, 3))
     rows = np.arange(n)
-    for block, part in enumerate((by_i, by_t, by_n)):
+    for block, part in enumerate((by_i, weight[:, None] * by_t, by_n)):
         slope[block * n + rows, rows] = part
     return residual, slope
 

@@ -39,9 +39,8 @@ def integrate_noise(fit: Fit) -> Fit:
         return fit
     draws, weight = _draw_points(*_locate_mode(_Target(fit), fit))
     for _ in range(_ROUNDS):
-        shift, covariance = _Target(fit).condition(draws)
-        fit = _move(fit, weight @ shift)
-    shift, covariance = _Target(fit).condition(draws)
+        fit = _move(fit, weight @ _Target(fit).evaluate(draws)[1])
+    _, shift, covariance = _Target(fit).evaluate(draws)
     mean = weight @ shift
     apart = shift - mean
     whole = np.einsum("m,mpq->pq", weight, covariance) + (apart * weight[:, None]).T @ apart
@@ -80,16 +79,13 @@ class _Target:
         low, high = (first + edge for edge in self._ratio)
         return np.column_stack([first, np.clip(logs[:, 1:], low, high)])
 
-    def log(self, logs: Array) -> Array:
-        """(m,) log density of logs (m, 1 + c), up to a constant."""
+    def evaluate(self, logs: Array) -> tuple[Array, Array, Array]:
+        """(m,) log density of logs (m, 1 + c), up to a constant; (m, p) θ at each noise less the
+        fit's, and its covariance (m, p, p)."""
         logs = self.within(logs)
-        return np.concatenate([self._some(logs[a : a + _CHUNK])[0] for a in _parts(logs)])
-
-    def condition(self, logs: Array) -> tuple[Array, Array]:
-        """(m, p) θ at each noise less the fit's, and its covariance (m, p, p)."""
-        logs = self.within(logs)
-        found = [self._some(logs[a : a + _CHUNK])[1:] for a in _parts(logs)]
-        return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+        found = [self._some(logs[a : a + _CHUNK]) for a in range(0, len(logs), _CHUNK)]
+        density, shift, covariance = map(np.concatenate, zip(*found, strict=True))
+        return density, shift, covariance
 
     def _some(self, logs: Array) -> tuple[Array, Array, Array]:
         whole = np.einsum("mc,cij->mij", np.exp(2.0 * logs), self._grams)
@@ -116,10 +112,6 @@ class _Target:
         return np.asarray(found + logs[:, 1:].sum(axis=1))
 
 
-def _parts(logs: Array) -> range:
-    return range(0, len(logs), _CHUNK)
-
-
 def _locate_mode(target: _Target, fit: Fit) -> tuple[_Target, Array, Array]:
     """The target, its mode in the logs, and the covariance of the normal that touches it."""
     from scipy.optimize import minimize
@@ -129,7 +121,7 @@ def _locate_mode(target: _Target, fit: Fit) -> tuple[_Target, Array, Array]:
     steps = _STEP * np.eye(start.size)
 
     def slope(x: Array) -> tuple[float, Array]:
-        every = target.log(np.concatenate([x[None], x + steps, x - steps]))
+        every, _, _ = target.evaluate(np.concatenate([x[None], x + steps, x - steps]))
         up, down = every[1 : 1 + x.size], every[1 + x.size :]
         return -float(every[0]), -(up - down) / (2.0 * _STEP)
 
@@ -150,7 +142,7 @@ def _draw_points(target: _Target, at: Array, spread: Array) -> tuple[Array, Arra
     )
     draws = at + z @ lower.T
     density = -0.5 * (_TAILS + at.size) * np.log1p(np.sum(z**2, axis=1) / _TAILS)
-    logs = target.log(draws) - density
+    logs = target.evaluate(draws)[0] - density
     weight = np.exp(logs - logs.max())
     total = np.cumsum(weight) / weight.sum()
     chosen = np.searchsorted(total, (np.arange(_KEPT) + 0.5) / _KEPT)

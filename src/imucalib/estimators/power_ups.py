@@ -13,6 +13,11 @@ is log-normal about that of all, which has the prior 1 / (size + what noise alon
 recording's mean); what the axes say of each other is in the weights of each.
 
 Devices of a kind scatter as power-ups of one do, and the next device is foretold alike.
+
+How much values y scatter beyond their own variances v, about a mean, a mean of each group, or a
+line X b, with no prior of the size: τ² solves Q(τ²) = Σ (y_i - (X b)_i)² / (v_i + τ²) = degrees of
+freedom (Paule and Mandel 1982; the iterated DerSimonian and Laird 1986), its interval Q(τ²) = the
+quantiles of χ² (Viechtbauer 2007, Statistics in Medicine 26, 37-52).
 """
 
 from __future__ import annotations
@@ -207,3 +212,56 @@ def _weights(sizes: Array, nats: Array, noise_alone: float) -> tuple[Array, Arra
     all_axes = prior * seen.prod(axis=0)
     each = likely * ((prior * seen.prod(axis=0) / np.maximum(seen, 1e-300)) @ about.T)
     return all_axes / all_axes.sum(), each / each.sum(axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class ExcessScatter:
+    """A standard deviation beyond stated ones, with its 95 % interval, in the values' unit."""
+
+    sd: float
+    low: float
+    high: float
+
+
+def estimate_excess(value: Array, variance: Array, design: Array | None = None) -> ExcessScatter:
+    """Of values (m,) with variances (m,) about `design` (m, k) b, by default one mean.
+
+    NaN where the design leaves no degree of freedom.
+    """
+    from scipy.special import chdtri
+
+    design = _design(value, design)
+    dof = value.size - design.shape[1]
+    if dof < 1:
+        return ExcessScatter(float("nan"), float("nan"), float("nan"))
+    wanted = (float(dof), float(chdtri(dof, 0.025)), float(chdtri(dof, 0.975)))
+    return ExcessScatter(*(excess(q, value, variance, design) ** 0.5 for q in wanted))
+
+
+def excess(wanted: float, value: Array, variance: Array, design: Array | None = None) -> float:
+    """τ² of values (m,) at which Q(τ²) is so large; 0 where it never is."""
+    from scipy.optimize import brentq
+
+    design = _design(value, design)
+
+    def more(square: float) -> float:
+        return fit_line(value, variance + square, design)[2] - wanted
+
+    if more(0.0) <= 0.0:
+        return 0.0
+    high = float(np.ptp(value)) ** 2 + float(variance.max())
+    while more(high) > 0.0:
+        high *= 4.0
+    return float(brentq(more, 0.0, high, xtol=1e-30))
+
+
+def fit_line(value: Array, variance: Array, design: Array) -> tuple[Array, Array, float]:
+    """b (k,) of weighted least squares, its covariance (k, k), and the squares that remain."""
+    weighted = design.T / variance
+    covariance = np.asarray(np.linalg.inv(weighted @ design), np.float64)
+    b = covariance @ (weighted @ value)
+    return b, covariance, float(np.sum((value - design @ b) ** 2 / variance))
+
+
+def _design(value: Array, design: Array | None) -> Array:
+    return np.ones((value.size, 1)) if design is None else design

@@ -22,7 +22,7 @@ from imucalib.core.sphere import even_directions
 from imucalib.errors import UsageError
 from imucalib.exports import Export, Made
 from imucalib.exports.imus import lost_of, lost_rates, places_of
-from imucalib.exports.linear import lost_linear, nearest_linear, sphere_of
+from imucalib.exports.nearest import lost_linear, nearest_linear, sphere_of
 from imucalib.recording.identity import NAMELESS
 from imucalib.units import DEG, STANDARD_GRAVITY
 

@@ -8,7 +8,6 @@ that in which its accelerometer's matrix is L_a: Q_a turns the board's axes into
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -24,14 +23,11 @@ from imucalib.core.effect import Response
 from imucalib.effects import catalogue
 from imucalib.effects.forms import in_words
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.exports import Made
-from imucalib.exports.linear import beyond_linear
+from imucalib.exports.nearest import beyond_linear
 from imucalib.recording.identity import NAMELESS
 from imucalib.recording.yaml_text import load
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
-#: What every form of single IMUs loses of an array.
-_KEPT = ("gyro_g_sensitivity", "sensing_elements")
 #: What programs that filter ask of an IMU's noise, and its units.
 NOISE_UNITS = {
     "accelerometer_noise_density": "m/s2/sqrt(Hz)",
@@ -229,7 +225,7 @@ def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
 
 
 def lost_of(
-    calibration: Calibration, kept: tuple[str, ...] = _KEPT, *, delay: bool = False
+    calibration: Calibration, kept: tuple[str, ...], *, delay: bool = False
 ) -> tuple[tuple[str, ...], float, float]:
     """Effects that the form has no place for, in words; and the largest rms in the motion that was
     calibrated of one of them: on a force, mg, and on a rate, deg/s.
@@ -250,29 +246,6 @@ def lost_of(
         if not held and unit in largest:
             largest[unit] = max(largest[unit], rms)
     return lost, largest["m/s²"] / MG, largest["deg/s"]
-
-
-def file_an_imu(
-    calibration: Calibration,
-    program: str,
-    text: Callable[[Imu, dict[str, Any], list[str]], str],
-    kept: tuple[str, ...] = _KEPT,
-) -> Made:
-    """What a program that filters reads, which estimates biases by itself.
-
-    text : of an IMU's file, from its noise and what is said in comments
-    kept : effects that it has a place for
-    Raises as `imus_of`, and UsageError where nothing is known of one of its noises.
-    """
-    lost, loss, rate_loss = lost_of(calibration, kept)
-    lost = (f"the biases: {program} estimates them in every recording", *lost)
-    files = {}
-    for imu in imus_of(calibration, program):
-        noise, said = noise_of(imu, program)
-        files[imu.name] = text(imu, noise, [*said, *(f"# Not in it: {one}." for one in lost)])
-    return Made(
-        "---\n".join(files.values()), lost, loss, rate_loss, files if len(files) > 1 else {}
-    )
 
 
 def noise_of(imu: Imu, program: str, remedy: str = _MEASURE) -> tuple[dict[str, Any], list[str]]:

@@ -10,21 +10,10 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.linear import lost_linear, nearest_linear
-from imucalib.exports.per_axis import demand_one, heading
+from imucalib.exports.nearest import demand_one, heading, lost_linear, nearest_linear
 from imucalib.units import MG
 
-_COLUMNS = (
-    "term",
-    "axis",
-    "towards",
-    "value",
-    "sd",
-    "unit",
-    "code",
-    "weight_function",
-    "propagation",
-)
+_COLUMNS = "term axis towards value sd unit code weight_function propagation"
 #: Code, weighting function and what it weighs, of magnetic (MWD) and of gyro tools.
 _CODES = (
     ("ABXY-TI1S", "ABXY-TI1", "bias", "xy"),
@@ -58,9 +47,9 @@ def iscwsa(calibration: Calibration, filename: str) -> Made:
     found += [
         ("misalignment", a, to, S[k, j], S_sd[k, j]) for k, a in axes for j, to in axes if j != k
     ]
-    names = ("term", "axis", "towards", "value", "sd", "unit")
+    names = _COLUMNS.split()
     rows = [
-        dict(zip(names, (term, a, to, f"{value:.9g}", f"{sd:.6g}", _UNITS[term]), strict=True))
+        dict(zip(names, (term, a, to, f"{value:.9g}", f"{sd:.6g}", _UNITS[term]), strict=False))
         for term, a, to, value, sd in found
     ]
     sizes = {"bias": bias_sd, "scale": np.diag(S_sd), "misalignment": S_sd[~np.eye(3, dtype=bool)]}
@@ -84,13 +73,9 @@ def iscwsa(calibration: Calibration, filename: str) -> Made:
         lost.append("the turn of the sensor in the tool: this calibration saw no tool's axes")
     lost += lost_linear(calibration, linear)
     out = StringIO()
-    for line in (
-        *heading(calibration, filename),
-        "# Rows without a code: what was found, and its sd. With a code: 1 sd left once corrected.",
-        *(f"# Not in it: {text}." for text in lost),
-    ):
-        out.write(f"{line}\n")
-    writer = csv.DictWriter(out, _COLUMNS, restval="", lineterminator="\n")
+    said = "Rows without a code: what was found, and its sd. With a code: 1 sd left once corrected."
+    out.writelines(f"{line}\n" for line in heading(calibration, filename, lost, said))
+    writer = csv.DictWriter(out, names, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return Made(out.getvalue(), tuple(lost), linear.mean)

@@ -10,16 +10,34 @@ import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from imucalib.errors import UsageError
+from imucalib.exports.filters import chain
 from imucalib.exports.imus import Imu, noise_of
-from imucalib.exports.openvins import chain
 from imucalib.inspection.noise import SensorNoise, noise_blocks
 from imucalib.question import paste
 from imucalib.recording.yaml_text import dump
+
+#: HKUST-Aerial-Robotics/VINS-Mono, integration_base.h: a step of dt adds acc_n dt to the velocity
+#: and acc_w dt to the bias, so acc_n is N √f and acc_w is K √f.
+_VINS = {
+    "acc_n": "accelerometer_noise_density",
+    "gyr_n": "gyroscope_noise_density",
+    "acc_w": "accelerometer_random_walk",
+    "gyr_w": "gyroscope_random_walk",
+}
+#: UZ-SLAMLab/ORB_SLAM3, Tracking.cc: densities times √f, walks over √f, f being IMU.Frequency.
+_ORBSLAM3 = {
+    "IMU.NoiseGyro": "gyroscope_noise_density",
+    "IMU.NoiseAcc": "accelerometer_noise_density",
+    "IMU.GyroWalk": "gyroscope_random_walk",
+    "IMU.AccWalk": "accelerometer_random_walk",
+    "IMU.Frequency": "update_rate",
+}
 
 
 @dataclass(frozen=True)
@@ -65,38 +83,15 @@ def _openvins(noise: Sequence[SensorNoise], said: list[str]) -> str:
     return chain(imu, numbers, [*said, *limits])
 
 
-def _vins(noise: Sequence[SensorNoise], said: list[str]) -> str:
-    """HKUST-Aerial-Robotics/VINS-Mono, integration_base.h: a step of dt adds acc_n dt to the
-    velocity and acc_w dt to the bias, so acc_n is N √f and acc_w is K √f."""
-    _, numbers, limits = _only(noise, "VINS")
-    root = float(np.sqrt(numbers["update_rate"]))
-    names = {
-        "acc_n": "accelerometer_noise_density",
-        "gyr_n": "gyroscope_noise_density",
-        "acc_w": "accelerometer_random_walk",
-        "gyr_w": "gyroscope_random_walk",
-    }
-    return _as_opencv([*said, *limits], {name: root * numbers[key] for name, key in names.items()})
-
-
-def _orbslam3(noise: Sequence[SensorNoise], said: list[str]) -> str:
-    """UZ-SLAMLab/ORB_SLAM3, Tracking.cc: densities times √f, walks over √f, f being
-    IMU.Frequency."""
-    _, numbers, limits = _only(noise, "ORB-SLAM3")
-    names = {
-        "IMU.NoiseGyro": "gyroscope_noise_density",
-        "IMU.NoiseAcc": "accelerometer_noise_density",
-        "IMU.GyroWalk": "gyroscope_random_walk",
-        "IMU.AccWalk": "accelerometer_random_walk",
-        "IMU.Frequency": "update_rate",
-    }
-    return _as_opencv([*said, *limits], {name: numbers[key] for name, key in names.items()})
-
-
-def _as_opencv(said: list[str], numbers: Mapping[str, float]) -> str:
-    """A file as OpenCV reads it."""
-    lines = [f"{name}: {float(f'{value:.6g}')!r}" for name, value in numbers.items()]
-    return "\n".join(["%YAML:1.0", *said, *lines, ""])
+def _opencv(
+    noise: Sequence[SensorNoise], said: list[str], program: str, keys: Mapping[str, str], by: float
+) -> str:
+    """A file as OpenCV reads it. keys : of the program -> of `noise_of`; by : the power of the rate
+    that numbers are times"""
+    _, numbers, limits = _only(noise, program)
+    factor = float(numbers["update_rate"] ** by)
+    lines = [f"{name}: {float(f'{factor * numbers[key]:.6g}')!r}" for name, key in keys.items()]
+    return "\n".join(["%YAML:1.0", *said, *limits, *lines, ""])
 
 
 def _ros(noise: Sequence[SensorNoise], said: list[str]) -> str:
@@ -156,13 +151,13 @@ NOISE_FORMS = {
     ),
     "vins": NoiseForm(
         "vins.yaml",
-        _vins,
+        partial(_opencv, program="VINS", keys=_VINS, by=0.5),
         "VINS-Mono and VINS-Fusion read the sd of a sample, m/s2 and rad/s, and walks times the "
         "root of the rate: for the rate of this recording.",
     ),
     "orbslam3": NoiseForm(
         "orbslam3.yaml",
-        _orbslam3,
+        partial(_opencv, program="ORB-SLAM3", keys=_ORBSLAM3, by=0.0),
         "ORB-SLAM3 reads densities and walks in the units of Kalibr, and makes them of a sample "
         "with IMU.Frequency.",
     ),

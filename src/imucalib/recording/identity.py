@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import fields
+from typing import Annotated, Any
 
 from imucalib.arrays import Array
+from imucalib.data import Data
 from imucalib.errors import UsageError
 from imucalib.recording.onboard import Onboard, onboard_from
 from imucalib.recording.pairing import fault
@@ -14,40 +15,27 @@ from imucalib.recording.recording import Channel, Recording
 from imucalib.recording.sensors import accelerometer, accelerometers
 
 
-@dataclass(frozen=True)
-class Identity:
-    """A sensor; what the recording does not say is empty.
+class Identity(Data, sparse=True):
+    """Which sensor of which device it is, as the recording says; what it does not say is absent.
 
-    name : in the recording, empty where the reader only numbered it
-    names : what else the file calls it, in full: topic or dataset, then its frame_id
-    topic : of messages, which it came in
-    device, serial : kind of the device that holds it, and its number
-    unit : of the readings in the file; to_m_per_s2 : one of it, zero : what is taken off them
-        before, (1,) or one an axis
-    step : smallest step between readings, m/s², an axis; rate_hz : samples a second
+    name : empty where the reader only numbered it; names : in full, then its frame_id
+    topic : of messages, which it came in; device, serial : what holds it, and its number
+    to_m_per_s2, zero, step : (1,) or one an axis
     onboard, onboard_rate : what a flight controller did to its readings, and to the gyroscope's
     """
 
-    name: str = ""
-    names: tuple[str, ...] = ()
+    name: Annotated[str, "In the recording."] = ""
+    names: Annotated[tuple[str, ...], "Topic or dataset, frame_id."] = ()
     topic: str = ""
     device: str = ""
     serial: str = ""
-    unit: str = ""
+    unit: Annotated[str, "Of the readings in the file."] = ""
     to_m_per_s2: tuple[float, ...] = ()
-    zero: tuple[float, ...] = ()
-    step: tuple[float, ...] = ()
+    zero: Annotated[tuple[float, ...], "Taken off readings in the unit before."] = ()
+    step: Annotated[tuple[float, ...], "Smallest step between readings, m/s2."] = ()
     rate_hz: float = 0.0
     onboard: Onboard | None = None
     onboard_rate: Onboard | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """The block of calibration.yaml and report.json: what is known."""
-        known = {name: value for name, value in vars(self).items() if value}
-        return {
-            k: list(v) if isinstance(v, tuple) else v.as_dict() if isinstance(v, Onboard) else v
-            for k, v in known.items()
-        }
 
     def __str__(self) -> str:
         """In words: "aux (/aux/imu), AX3 12345"; "a sensor without a name" where none is known."""

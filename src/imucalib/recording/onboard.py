@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.data import Data
 from imucalib.errors import UsageError
 
 #: Of a controller's law over temperature: in the readings, or only for what comes after them.
@@ -18,27 +19,19 @@ TAKEN, AHEAD = "taken", "ahead"
 _MOST = 1e3
 
 
-@dataclass(frozen=True)
-class Onboard:
-    """A sensor in a controller's parameters; the log has scale (raw - offset) of what it read.
+class Onboard(Data, sparse=True):
+    """In a flight controller, whose log has scale (raw - offset) of the sensor.
 
-    slot : its number there, from 0; device : its id, 0 where the log does not say
-    offset, scale : (3,) in SI units; empty where none are known to act
-    law : whether a stored law over temperature was `TAKEN` off before, or is `AHEAD` of readings
-        from before it; empty where none acts
-    fault : why no parameters are composed with these, in words, or empty
+    slot : from 0; device : 0 where the log does not say
+    offset, scale : (3,), empty where none are known to act; law : `TAKEN` or `AHEAD`, or empty
     """
 
-    slot: int = 0
-    device: int = 0
-    offset: tuple[float, ...] = ()
+    slot: Annotated[int, "Number in its parameters."] = 0
+    device: Annotated[int, "Its id."] = 0
+    offset: Annotated[tuple[float, ...], "In SI units."] = ()
     scale: tuple[float, ...] = ()
-    law: str = ""
-    fault: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """The block of calibration.yaml."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items() if v}
+    law: Annotated[str, "A stored one over temperature: taken off before, or ahead."] = ""
+    fault: Annotated[str, "Why no parameters are composed."] = ""
 
     def compose(self, offset: Array, scale: Array) -> tuple[Array, Array]:
         """(3,) offset and scale that correct what the sensor read as (value - offset) scale does

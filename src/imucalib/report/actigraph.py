@@ -12,7 +12,7 @@ from imucalib.calibrators.actigraph.published import PublishedRun
 from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.calibrators.actigraph.series import CalibrationSeries as Calibrations
 from imucalib.core.sphere import coverage, even_directions
-from imucalib.exports.per_axis import nearest_row
+from imucalib.exports.nearest import nearest_row
 from imucalib.posterior.held_out import raw_errors
 from imucalib.report import sections
 from imucalib.report.plots import band, sphere_map

@@ -52,7 +52,7 @@ def compose_array_document(run: ArrayRun) -> Document:
         Section("Observability", observability),
         Section("The chains", (Facts(chains),)),
     )
-    title = f"Positions of {run.board.name} from {run.outcome.provenance.path}"
+    title = f"Positions of {run.board.name} from {run.outcome.provenance.input}"
     card, plots = _compose_card(run, observability), residual_plots(run)
     return sections.compose_calibration_document(
         title, run, card, first=first, residuals=plots, rest=rest
@@ -222,7 +222,7 @@ def compose_board_document(run: BoardRun) -> Document:
     """Pooled positions, whether the logs agree, what repeats, and what a new log will say."""
     board, request = run.runs[0].board, run.runs[0].request
     sd = 1e3 * float(np.median(run.total.sd[1:]))
-    names = ", ".join(r.outcome.provenance.path for r in run.runs)
+    names = ", ".join(r.outcome.provenance.input for r in run.runs)
     between = 1e3 * run.pooled.between.reshape(-1, 3)
     more = ("", *(", ".join(f"{v:.3f}" for v in one) for one in between))
     note = "mm; between logs: of the positions as the motion shows them, without size and frame."
@@ -250,7 +250,7 @@ def _agreement(run: BoardRun) -> Section:
     )
     rows = tuple(
         (
-            r.outcome.provenance.path,
+            r.outcome.provenance.input,
             f"{own:.2f}",
             f"{1e3 * _rms(off):.4f}",
             f"{1e3 * np.sqrt(np.mean(np.diag(r.total.motion))):.4f}",

@@ -57,7 +57,7 @@ def certify(run: Run, card: Card) -> Section | None:
         ("conditions", "; ".join(_conditions(calibration, made.samples))),
         ("method", f"imucal {calibration.calibrator}, posterior with {', '.join(effects)}"),
         ("software", ", ".join(f"{name} {value}" for name, value in made.versions.items())),
-        ("input", made.path),
+        ("input", made.input),
         ("input, sha256", made.sha256),
         ("changed by hand", _list_changes(settings)),
         ("left out", "; ".join(map(str, getattr(run.details, "left_out", ()))) or "nothing"),

@@ -14,8 +14,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.checking.check import SIGNIFICANT, Check, SensorCheck
 from imucalib.calibration.checking.misfit import BAD_REST
 from imucalib.calibration.checking.noise import FAMILIES
-from imucalib.calibration.plain import fields
-from imucalib.data import plain
+from imucalib.data import fields, plain
 from imucalib.posterior.closed_loop.changes import NOISE
 from imucalib.posterior.odds import SEEN_IN
 from imucalib.report.render.document import (

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.comparison.compare import SIGNIFICANT, CalibrationDrift, Comparison, Slope
-from imucalib.calibration.plain import fields
-from imucalib.data import plain
+from imucalib.data import fields, plain
 from imucalib.report.plots import band
 from imucalib.report.render.document import (
     Card,

@@ -9,7 +9,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.gyroscope import STAGE, gyroscope_of
-from imucalib.calibrators.sessions import Between, Sessions
+from imucalib.calibrators.sessions import BetweenSessions, ScatterFacts
 from imucalib.core.effect import Context
 from imucalib.report.render.document import Plot, Section, Series, Table, Text, Worth
 from imucalib.significant_digits import plus_minus
@@ -19,29 +19,32 @@ _NORMAL_95 = 1.96
 _ROWS = 5
 
 
-def power_up_worths(sessions: Sessions | None) -> list[Worth]:
+def power_up_worths(sessions: BetweenSessions | None) -> list[Worth]:
     """How far what changes between power-ups lets a calibration carry."""
     found = dict[str, Worth]()
-    for p in sorted(sessions.parameters, key=lambda p: p.half) if sessions else ():
-        count = len(sessions.names) if sessions else 0
-        detail = f"95 %, worst axis, from {count} sessions; their mean ± {1.96 * p.mean:.2g}"
-        found[p.effect] = Worth(f"{p.effect} after a power-up", f"± {p.half:.2g} {p.unit}", detail)
+    every = sorted(sessions.next_power_up, key=lambda p: p.half_of_95) if sessions else ()
+    for p in every:
+        count = len(sessions.sessions) if sessions else 0
+        mean = f"their mean ± {1.96 * p.sd_of_mean:.2g}"
+        detail = f"95 %, worst axis, from {count} sessions; {mean}"
+        size = f"± {p.half_of_95:.2g} {p.unit}"
+        found[p.effect] = Worth(f"{p.effect} after a power-up", size, detail)
     return list(found.values())
 
 
-def compose_sessions_section(sessions: Sessions | None) -> Section:
+def compose_sessions_section(sessions: BetweenSessions | None) -> Section:
     """What changes between power-ups, and the parameters after the next; empty of one session."""
     if sessions is None:
         return Section("Sessions", ())
-    count = len(sessions.names)
+    count = len(sessions.sessions)
     rows = tuple(
         (
-            p.name.replace("_", " "),
-            plus_minus(p.value, p.mean, p.unit),
-            plus_minus(p.value, p.sd, p.unit),
-            f"{p.value - p.half:.3g} to {p.value + p.half:.3g}",
+            p.parameter.replace("_", " "),
+            plus_minus(p.value, p.sd_of_mean, p.unit),
+            plus_minus(p.value, p.sd_next_power_up, p.unit),
+            f"{p.value - p.half_of_95:.3g} to {p.value + p.half_of_95:.3g}",
         )
-        for p in sessions.parameters
+        for p in sessions.next_power_up
     )
     header = ("", f"mean of {count} power-ups", "next power-up", "95 %")
     note = (
@@ -51,16 +54,16 @@ def compose_sessions_section(sessions: Sessions | None) -> Section:
     words = [
         Text(
             f"Between {count} power-ups the {one.effect} scatters by {one.sd:.2g} {one.unit} an "
-            f"axis (95 %: {one.interval[0]:.2g} to {one.interval[1]:.2g})."
+            f"axis (95 %: {one.low_95:.2g} to {one.high_95:.2g})."
         )
-        for one in sessions.between
+        for one in sessions.scatter
     ]
     table = Table("After the next power-up", header, rows, "lrrr", note)
-    plots = (_session_plot(one, sessions.names) for one in sessions.between)
+    plots = (_session_plot(one, sessions.sessions) for one in sessions.scatter)
     return Section("Sessions", (*words, table, *plots))
 
 
-def _session_plot(one: Between, names: tuple[str, ...]) -> Plot:
+def _session_plot(one: ScatterFacts, names: tuple[str, ...]) -> Plot:
     at = np.arange(1.0, len(names) + 1.0)
     axes = enumerate(zip("xyz", one.offsets.T, one.offsets_sd.T, strict=True))
     series = tuple(

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.calibration.plain import fields
 from imucalib.calibrators.lab.design import Addition, Design, PositionPlan
 from imucalib.calibrators.next_recording import AmbiguityPlan, NextRecording
-from imucalib.data import plain
+from imucalib.data import fields, plain
 from imucalib.posterior.odds import ENDED
 from imucalib.report.render.document import Block, Document, Section, Table, Text, Tone
 from imucalib.units import DEG

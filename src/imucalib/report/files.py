@@ -18,8 +18,8 @@ from imucalib.arrays import Array
 from imucalib.atomic_file import replace_atomically
 from imucalib.calibration.file import to_yaml, write_together
 from imucalib.calibration.outcome import Run
-from imucalib.calibration.plain import json_text
 from imucalib.calibrators.result import CardFacts, Figure, SeriesFacts, Shown, Worth, describe_run
+from imucalib.data import json_text
 from imucalib.errors import ImucalError, UsageError
 from imucalib.exports import Made
 from imucalib.recording.yaml_text import load

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.calibration.comparison.agreement import ExcessScatter
-from imucalib.calibration.plain import fields, list_fields
 from imucalib.cohort.fleet.outcome import Fleet
 from imucalib.core.effect import Context
-from imucalib.data import plain
+from imucalib.data import fields, list_fields, plain
 from imucalib.effects import named
 from imucalib.effects.forms import in_words
+from imucalib.estimators.power_ups import ExcessScatter
 from imucalib.report.render.document import (
     Card,
     Column,
@@ -32,7 +31,7 @@ from imucalib.significant_digits import per_cent, plus_minus, size_with_unit
 _TONE: dict[str, Tone] = {"explained": "ok", "suspected": "warning", "unexplained": "warning"}
 _SHARED: tuple[Column, ...] = (
     ("effect", "effect", ""),
-    ("probability", lambda one: per_cent(one.pooled.probability), ">"),
+    ("probability", lambda one: per_cent(one.probability), ">"),
     ("foretold, nats", lambda one: one.nats.sum(), "+.1f"),
     ("devices that gain", lambda one: f"{np.sum(one.nats > 0.0)} of {len(one.able)}", ">"),
     ("rivals", lambda one: ", ".join(one.rivals) or "none", ""),
@@ -229,7 +228,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
     """report.json of a fleet, as plain types."""
     search, made = fleet.search, [r.provenance for m in fleet.members for r in m.recordings]
     found = (
-        "effect probability=pooled.probability evidence_nats=pooled.evidence foretold_nats=nats "
+        "effect probability evidence_nats=evidence foretold_nats=nats "
         "rivals devices=able common_typical=sizes.common scatter_typical=sizes.scatter"
     )
     tried = "effect evidence_nats=evidence probability devices"
@@ -239,7 +238,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         {
             "name": m.name,
             "recordings": [
-                {**fields(r, "name input=provenance.path"), "kept": r.kept or None}
+                {"name": r.name, "input": r.provenance["input"], "kept": r.kept or None}
                 for r in m.recordings
             ],
             **fields(m, "base_mg=base final_mg=final found_by_the_others=found_by_others"),
@@ -268,9 +267,9 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         "failed": [{"name": name, "why": why} for name, why in fleet.failed],
         "notes": fleet.notes,
         "provenance": {
-            "inputs": list_fields(made, "input=path sha256"),
+            "inputs": [{name: one[name] for name in ("input", "sha256")} for one in made],
             **fields(fleet, "settings command"),
-            **fields(made[-1], "versions time"),
+            **{name: made[-1][name] for name in ("versions", "time")},
         },
     }
     return dict(plain(content))

@@ -43,12 +43,12 @@ def compose_imu_document(run: ImuRun) -> Document:
     rest = (
         Section("Gyroscope", (_facts(run),)),
         Section("Parameters", (sections.parameter_table(run.calibration, _RATE),)),
-        compose_sessions_section(run.sessions),
+        compose_sessions_section(run.details.between_sessions),
         compose_temperature_section(run.calibration),
         sections.compose_sensor_section(run.calibration),
         Section("Turns", (_turns(run),)),
     )
-    title = f"IMU calibration of {run.outcome.provenance.path}"
+    title = f"IMU calibration of {run.outcome.provenance.input}"
     return sections.compose_calibration_document(title, run, _compose_card(run), rest=rest)
 
 
@@ -58,12 +58,12 @@ def _compose_card(run: ImuRun) -> Card:
     carried = sections.error_worth(outcome.error, "gravity after a turn", "turns")
     drift = f"± {two_digits(heading_drift(run.result.fit))} deg"
     how = "95 %, worst axis, beside what the bias does"
-    left_out = "rests" if run.sessions is None else "power-ups"
+    left_out = "rests" if run.details.between_sessions is None else "power-ups"
     good = [
         Worth(carried.quantity, carried.value, carried.detail, f"median {median} deg"),
         Worth("heading after 360 deg", drift, how),
         sections.error_worth(outcome.errors[1], "size of a force", left_out),
-        *power_up_worths(run.sessions),
+        *power_up_worths(run.details.between_sessions),
         *_delay(run),
     ]
     if run.request.gravity_assumed:

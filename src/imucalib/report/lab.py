@@ -69,14 +69,14 @@ def compose_lab_document(run: LabRun) -> Document:
         _compose_parameter_section(run),
         sections.compose_kind_section(kind, result.final, result.kind_chance, "position"),
         _compose_bench_section(run),
-        compose_sessions_section(run.sessions),
+        compose_sessions_section(run.details.between_sessions),
         compose_temperature_section(run.calibration),
         _compose_dial_section(run),
         sections.compose_sensor_section(run.calibration),
         _compose_uncertainty_section(run),
         Section("Positions", (_position_table(run),)),
     )
-    title = f"Lab calibration of {run.outcome.provenance.path}"
+    title = f"Lab calibration of {run.outcome.provenance.input}"
     plots = (*others, _attitude_map(run))
     card = _compose_card(run, picture)
     return sections.compose_calibration_document(title, run, card, residuals=plots, rest=rest)
@@ -96,11 +96,11 @@ def _compose_card(run: LabRun, picture: Plot) -> Card:
     """Errors on positions held out, angles at the worst attitude."""
     metric = "vector" if _knows_angles(run) else run.outcome.error.metric.partition(",")[0]
     like = ("attitudes", coverage(run.result.final.observations.reading[:, 0]))
-    left_out = "positions" if run.sessions is None else "power-ups"
+    left_out = "positions" if run.details.between_sessions is None else "power-ups"
     good = [sections.error_worth(run.outcome.error, metric, left_out, like)]
     if run.result.observations.reference.directed:
         good.append(_worst(run))
-    good += power_up_worths(run.sessions)
+    good += power_up_worths(run.details.between_sessions)
     if _knows_angles(run):
         good += _angles(run)
     if run.request.gravity_assumed:
@@ -115,7 +115,7 @@ def _compose_card(run: LabRun, picture: Plot) -> Card:
 def _worst(run: LabRun) -> Worth:
     """The corrected vector where the calibration knows it least."""
     fit, directions = run.result.final, even_directions()
-    slope, _ = force_slope(fit, run.request.gravity * directions[:, None])
+    slope, _ = force_slope(fit, run.request.gravity * directions)
     variance = np.einsum("nip,pq,niq->n", slope, fit.covariance, slope)
     sd = np.sqrt(np.maximum(variance, 0.0)) / MG
     return sections.worst_attitude("vector", sd, directions, "calibration only, ")

@@ -13,14 +13,13 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.findings import Findings
+from imucalib.calibration.findings import Findings, find_hidden
 from imucalib.calibration.outcome import NO_NAME, UNPROVED_NAME, ErrorSummary, Outcome, Run, Status
-from imucalib.calibration.power import find_hidden
 from imucalib.calibrators.population import Population
 from imucalib.core.fit import Fit
 from imucalib.effects import known, names_a_cause
 from imucalib.effects.forms import in_words
-from imucalib.exports.bound import carries
+from imucalib.exports import carries
 from imucalib.posterior.closed_loop.found import Step, Unexplained
 from imucalib.question import Question, paste
 from imucalib.report.certificate import certify

@@ -24,7 +24,7 @@ def residual_files(path: Path) -> tuple[Path, Path]:
 
 
 def write_residuals(recording: Recording, path: Path) -> None:
-    """Write corrected sensors and their rests, as `calibration.residuals` makes them: topics
+    """Write corrected sensors and their rests, as `calibration.apply` makes them: topics
     "/<triad>/imu" (sensor_msgs/Imu) and "/<triad>/rest", and beside the file a layout for Foxglove.
 
     Raises UsageError as `residual_files` and `writers.write`.

@@ -11,14 +11,13 @@ import pytest
 from scipy.stats import ncx2
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.check import Measured, check
+from imucalib.calibration.checking.check import MANY, Measured, check, next_rests
 from imucalib.calibration.checking.misfit import (
     Misfits,
     change_question,
     gyro_rest,
     misfits_of,
 )
-from imucalib.calibration.checking.next_rests import MANY, next_rests
 from imucalib.calibration.checking.noise import check_noise
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.lab.bench import still_observations

@@ -12,10 +12,11 @@ import pytest
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.noise import sessions_of
 from imucalib.calibration.comparison.agreement import (
+    Basis,
     agreement,
+    basis_of,
     estimate_excess,
 )
-from imucalib.calibration.comparison.basis import Basis, basis_of
 from imucalib.calibration.comparison.compare import (
     array_meanings,
     compare,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imucalib.calibration.apply import apply_to_recording
-from imucalib.calibration.file import read, write
+from imucalib.calibration.file import read, to_yaml, write_whole
 from imucalib.calibration.triads import DRIFT, drift_block
 from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
@@ -103,7 +103,7 @@ def test_the_drift_of_the_rests_is_undone_in_the_recording_that_was_calibrated(
     facts = dict(run.calibration.facts)
     facts["rests"] = {**facts["rests"], "drift": drift_block(t, offset)}
     facts["not_undone"] = [{"effect": DRIFT, "rms": 0.05, "unit": "m/s²"}]
-    write(replace(run.calibration, facts=facts), tmp_path / "c.yaml")
+    write_whole(tmp_path / "c.yaml", to_yaml(replace(run.calibration, facts=facts)))
     found = read(tmp_path / "c.yaml")
     source = replace(log.recording, sha256=facts["provenance"]["sha256"])
     drifted = {

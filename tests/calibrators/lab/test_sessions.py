@@ -65,7 +65,7 @@ def told(planted, tmp_path_factory) -> LabRun:
 def test_the_scatter_is_that_of_the_analysis_of_variance(told: LabRun, planted) -> None:
     """Balanced data: REML's size of the bias is the sample sd of the sessions' own means, with the
     noise of a mean, 0.2 mg / 4, far below it."""
-    for one, truth in zip(told.sessions.between, planted, strict=True):
+    for one, truth in zip(told.details.between_sessions.scatter, planted, strict=True):
         assert one.sd == pytest.approx(np.sqrt(truth.var(axis=0, ddof=1).mean()), rel=0.06)
 
 
@@ -83,20 +83,20 @@ def test_files_are_sessions_as_a_column_is(told: LabRun, planted, tmp_path: Path
         for k in range(5)
     ]
     several = run(*each)
-    assert several.sessions.names == told.sessions.names
+    assert several.details.between_sessions.sessions == told.details.between_sessions.sessions
     assert np.allclose(several.result.final.theta, told.result.final.theta, atol=1e-9)
     assert several.table.row.tolist() == list(range(1, 81))
     assert any("day 1.csv 17-32" in note for note in several.outcome.notes)
-    assert several.outcome.provenance.parts == tuple(sha256_of(path) for path in each)
+    assert several.outcome.provenance.inputs_sha256 == tuple(sha256_of(path) for path in each)
 
 
 def test_rests_have_sessions_too(planted, tmp_path: Path) -> None:
     rows = rows_of(planted[0], np.zeros((5, 3)))
     path = write(tmp_path / "a.csv", [(r[0], *r[3:]) for r in rows], (HEADER[0], *HEADER[3:]))
-    found = run(path, request=replace(REQUEST, reference="norm")).sessions
-    assert [one.effect for one in found.between] == ["bias"]
+    found = run(path, request=replace(REQUEST, reference="norm")).details.between_sessions
+    assert [one.effect for one in found.scatter] == ["bias"]
     truth = np.sqrt(planted[0].var(axis=0, ddof=1).mean())
-    assert found.between[0].sd == pytest.approx(truth, rel=0.25)
+    assert found.scatter[0].sd == pytest.approx(truth, rel=0.25)
 
 
 def test_recordings_at_rest_are_sessions_read_as_recordings(tmp_path: Path) -> None:
@@ -107,8 +107,8 @@ def test_recordings_at_rest_are_sessions_read_as_recordings(tmp_path: Path) -> N
     found = run(*paths, request=replace(REQUEST, reference="norm"))
     assert found.recorded
     assert found.raw.sentence == "m/s², as the recording was read"
-    assert found.sessions is not None
-    assert found.sessions.names == ("0", "1")
+    assert found.details.between_sessions is not None
+    assert found.details.between_sessions.sessions == ("0", "1")
 
 
 def test_what_is_mistaken_is_told(planted, tmp_path: Path) -> None:

@@ -83,10 +83,6 @@ class Misfits:
         """(N, N) of an unchanged sensor."""
         return np.asarray(np.sum([part.covariance for part in self.parts], axis=0))
 
-    def kinds(self, matters: Mapping[str, float]) -> list[tuple[str, float]]:
-        """Kinds of change that these misfits could show, with what of each matters."""
-        return [(name, matters[name]) for name in self.changes]
-
     def take(self, rows: Index) -> Misfits:
         """Some of the rows, in order."""
         kept = np.flatnonzero(np.isin(self.owner, rows))
@@ -229,9 +225,7 @@ def change_question(
     matters : kind of change -> the size in its unit that matters
     among : sensors that share the prior odds of a change
     """
-    kinds = [
-        Suspect(name, (size * misfits.changes[name],)) for name, size in misfits.kinds(matters)
-    ]
+    kinds = [Suspect(name, (matters[name] * c,)) for name, c in misfits.changes.items()]
     own = matters["bias"] * MG * np.eye(misfits.value.size)
     rests = tuple(own[:, misfits.owner == row] for row in range(misfits.n))
     none = np.zeros((misfits.value.size, 0))

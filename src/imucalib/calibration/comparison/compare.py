@@ -16,7 +16,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -33,26 +32,23 @@ from imucalib.calibration.checking.noise import (
 )
 from imucalib.calibration.comparison.agreement import (
     Agreement,
-    ParameterScatter,
-    agreement,
-    excess,
-    fit_line,
-    kind_of,
-    scatter,
-    suspect,
-)
-from imucalib.calibration.comparison.basis import (
     Basis,
     DirectionErrors,
+    ParameterScatter,
     PowerUps,
     Worst,
+    agreement,
     basis_of,
     direction_errors,
+    kind_of,
+    scatter,
     worst_pair,
     worst_size,
     worst_turn,
+    worst_vector,
 )
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UnreadableInput, UsageError
+from imucalib.estimators.power_ups import excess, fit_line
 from imucalib.posterior.closed_loop.changes import NOISE
 from imucalib.units import DEG, MG
 
@@ -84,7 +80,7 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
                 f"{len(stated)} dates for {len(calibrations)} calibrations",
                 remedy="give one a file, in their order: --dates 2026-01-31,2026-07-31",
             )
-        found = _dates([_parse_limit(text) for text in stated], "dates as given")
+        found = _dates([_parse_date(text) for text in stated], "dates as given")
         if found is None:
             raise UsageError(
                 "all dates are the same: nothing can drift between them",
@@ -96,7 +92,7 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
         known = [datetime.fromtimestamp(s / 1e9, UTC) for s in starts if s is not None]
         return _dates(known, "dates as the recordings have them")
     runs = [(c.facts.get("provenance") or {}).get("time") for c in calibrations]
-    when = [_parse_limit(r) for r in runs if isinstance(r, str)]
+    when = [_parse_date(r) for r in runs if isinstance(r, str)]
     if len(when) < len(runs):
         return None
     found = _dates(
@@ -106,7 +102,7 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
     return found if found is not None and np.ptp(found.days) >= _APART else None
 
 
-def _parse_limit(text: str) -> datetime:
+def _parse_date(text: str) -> datetime:
     try:
         found = datetime.fromisoformat(text.strip())
     except ValueError:
@@ -254,14 +250,11 @@ def array_meanings(
 def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> Worst:
     """The IMU whose position differs most."""
     places = basis.value.reshape(len(calibrations), -1, 3)
-    pair, value, k = worst_pair(
-        len(places), lambda i, j: np.asarray(np.linalg.norm(places[j] - places[i], axis=1))
-    )
-    own = basis.covariance[list(pair), 3 * k : 3 * k + 3, 3 * k : 3 * k + 3].sum(axis=0)
-    along = (places[pair[1], k] - places[pair[0], k]) / max(value, 1e-300)
-    sd = float(np.sqrt(along @ own @ along))
-    name = calibrations[0].triads[k + 1].name
-    return Worst(pair, value, sd, "mm", along, sensor=name, limit=limit)
+    m, imus = places.shape[:2]
+    each = basis.covariance.reshape(m, imus, 3, imus, 3)
+    own = np.stack([each[:, k, :, k] for k in range(imus)], axis=1)
+    worst, k = worst_vector(places, own, "mm")
+    return replace(worst, sensor=calibrations[0].triads[k + 1].name, limit=limit)
 
 
 @dataclass(frozen=True)
@@ -379,15 +372,9 @@ class Comparison:
     def differing(self) -> Mapping[str, float]:
         """Probability of each kind of parameters that it differs, in any file, and of a scatter
         beyond what is stated."""
-        answer, found = self.agreement.answer, dict[str, float]()
-        for kind in dict.fromkeys(map(kind_of, self.basis.names)):
-            own = {suspect(kind, k) for k in range(len(self.names))}
-            found[kind] = answer.probability_that(partial(_share, own))
+        kinds = dict.fromkeys(map(kind_of, self.basis.names))
+        found = {kind: self.agreement.differs_in(kind) for kind in kinds}
         return {**found, "scatter": self.agreement.answer.of(NOISE)}
-
-
-def _share(some: set[str], names: tuple[str, ...]) -> bool:
-    return bool(some & set(names))
 
 
 def compare(
@@ -406,7 +393,8 @@ def compare(
     """
     arrays = _demand(calibrations, names)
     framed = arrays or len({is_mounted(c) for c in calibrations}) == 1
-    dof = np.array([_dof(c) for c in calibrations])
+    # Of each covariance's scale, by the noise that its file states.
+    dof = np.array([check_noise(c).reading.dof for c in calibrations])
     if arrays and between:
         raise UsageError(
             "arrays are compared without the scatter of power-ups",
@@ -469,14 +457,6 @@ def _demand(calibrations: Sequence[Calibration], names: Sequence[str]) -> bool:
 
 def _sensors(imus: tuple[str, ...]) -> str:
     return f"an array of {len(imus)} IMUs ({', '.join(imus)})" if imus else "one accelerometer"
-
-
-def _dof(calibration: Calibration) -> float:
-    """Degrees of freedom of the covariance's scale, by the noise that the file states."""
-    try:
-        return check_noise(calibration).reading.dof
-    except UnreadableInput:
-        return math.inf
 
 
 def _drift(

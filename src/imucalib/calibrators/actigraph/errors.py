@@ -96,7 +96,7 @@ def sphere_cells(base: Fit, final: Fit, held: Predictions) -> tuple[SphereCell, 
 def norm_sd(fit: Fit, directions: Array) -> Array:
     """(n,) m/s², standard deviation of the corrected norm from the parameters alone."""
     gravity = float(np.linalg.norm(fit.observations.reference.truth(fit.eta)[0, 0]))
-    slope, _ = force_slope(fit, gravity * directions[:, None])
+    slope, _ = force_slope(fit, gravity * directions)
     along = np.einsum("nj,njp->np", directions, slope)
     variance = np.einsum("np,pq,nq->n", along, fit.covariance, along)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

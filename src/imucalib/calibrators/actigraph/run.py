@@ -11,9 +11,8 @@ import numpy as np
 
 from imucalib.calibration import sums
 from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.outcome import Limit, Outcome, Run, list_open
-from imucalib.calibration.power import advice_of, find_hidden
-from imucalib.calibration.provenance import Provenance, provenance_of
+from imucalib.calibration.findings import advice_of, find_hidden
+from imucalib.calibration.outcome import Limit, Outcome, Provenance, Run, list_open, provenance_of
 from imucalib.calibration.series import series_facts
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.errors import (

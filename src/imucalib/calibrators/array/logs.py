@@ -319,7 +319,7 @@ def _log(run: ArrayRun, z: float) -> dict[str, Any]:
     made, triads = run.outcome.provenance, run.calibration.triads
     effects = effect_blocks(run.loop) if run.loop is not None else []
     return {
-        "input": made.path,
+        "input": made.input,
         "sha256": made.sha256,
         "z_rms_of_positions_by_the_others": z,
         "accelerometer_bias_m_per_s2": {t.name: t.bias.tolist() for t in triads},
@@ -358,7 +358,7 @@ def _outcome(runs: Sequence[ArrayRun], found: PooledLogs, total: Total) -> Outco
         held_out=HeldOutError(nan, nan, float(1e3 * np.sqrt(np.mean(found.missed**2)))),
     )
     made = [run.outcome.provenance for run in runs]
-    logs = [{"input": one.path, "sha256": one.sha256} for one in made]
+    logs = [{"input": one.input, "sha256": one.sha256} for one in made]
     reasons: tuple[str, ...] = ()
     if found.p < _DIFFER:
         reasons = (

@@ -14,8 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.outcome import Limit, Outcome, Run
-from imucalib.calibration.provenance import provenance_of
+from imucalib.calibration.outcome import Limit, Outcome, Run, provenance_of
 from imucalib.calibration.triads import DRIFT, Triad, drift_block
 from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.moving import Moving

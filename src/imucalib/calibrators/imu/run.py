@@ -20,7 +20,7 @@ from imucalib.calibrators.imu.plan import open_words
 from imucalib.calibrators.imu.power_ups import bias_parts, describe_differing, products_of
 from imucalib.calibrators.imu.request import ImuRequest
 from imucalib.calibrators.lab.run import LabDetails
-from imucalib.calibrators.sessions import Sessions, estimate_scatter
+from imucalib.calibrators.sessions import BetweenSessions, estimate_scatter
 from imucalib.core.fit import StoredParameter
 from imucalib.core.sphere import even_directions
 from imucalib.data import Data
@@ -98,7 +98,6 @@ class ImuRun(Run):
     details: ImuDetails
     result: ImuResult
     request: ImuRequest
-    sessions: Sessions | None = None
 
 
 def run_imu(
@@ -133,10 +132,8 @@ def run_imu(
     )
     details = imu_details(result)
     calibration = imu_calibration(result, outcome, details)
-    sessions = None
     if products:
-        sessions = _sessions(result.fit, products, names, calibration)
-        between = sessions.describe()
+        between = _sessions(result.fit, products, names, calibration)
         details = replace(details, between_sessions=between)
         facts = {**calibration.facts, "between_sessions": between.as_dict()}
         calibration = replace(calibration, facts=facts)
@@ -146,20 +143,18 @@ def run_imu(
         details=details,
         result=result,
         request=request,
-        sessions=sessions,
     )
 
 
 def _sessions(
     fit: TurnFit, products: tuple[Array, Array], names: tuple[str, ...], made: Calibration
-) -> Sessions:
+) -> BetweenSessions:
     """What power-ups do to the bias that a calibration states."""
     stated = [(p.name, p.value, p.sd) for p in made.parameters if p.effect == "bias"]
     mg = made.gravity / MG
     parts = bias_parts(*products, mg)
-    what = ("session bias", "bias", "mg")
-    between, after = estimate_scatter(what, parts, mg * fit.noise.power_up, stated)
-    return Sessions(names, (between,), after)
+    scatter, after = estimate_scatter("session bias", "mg", parts, mg * fit.noise.power_up, stated)
+    return BetweenSessions(names, (scatter,), after)
 
 
 def _errors(result: ImuResult) -> tuple[ErrorSummary, ErrorSummary]:

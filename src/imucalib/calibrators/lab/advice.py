@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from imucalib.calibration.calibration import UNSETTLED
+from imucalib.calibration.findings import advice_of, find_hidden
 from imucalib.calibration.outcome import Limit
-from imucalib.calibration.power import advice_of, find_hidden
 from imucalib.calibration.uncertainty import select_correctable
 from imucalib.calibrators.lab.bench import RawUnit, row_numbers
 from imucalib.calibrators.lab.calibrate import LabResult

@@ -10,8 +10,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.outcome import Outcome, Run, list_open
-from imucalib.calibration.provenance import provenance_of
+from imucalib.calibration.outcome import Outcome, Run, list_open, provenance_of
 from imucalib.calibrators.lab.advice import (
     advice,
     find_undecided,
@@ -36,7 +35,7 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions import sessions_of
 from imucalib.calibrators.next_recording import describe_recorded
 from imucalib.calibrators.population import not_of_its_kind
-from imucalib.calibrators.sessions import BetweenSessions, Sessions
+from imucalib.calibrators.sessions import BetweenSessions
 from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
 from imucalib.data import Data, plain
@@ -120,7 +119,6 @@ class LabRun(Run):
     excluded: tuple[str, ...]
     faults: Faults
     recorded: bool = False
-    sessions: Sessions | None = None
 
 
 def run_lab(
@@ -180,7 +178,6 @@ def run_lab(
         excluded=prepared.excluded,
         faults=faults,
         recorded=mapping is not None,
-        sessions=sessions,
     )
 
 
@@ -311,7 +308,7 @@ def lab_details(
     excluded: tuple[str, ...],
     undecided: tuple[Question, ...],
     faults: Faults,
-    sessions: Sessions | None,
+    sessions: BetweenSessions | None,
 ) -> LabDetails:
     """What only a bench has to say."""
     fit, recorded = result.final, None
@@ -329,7 +326,7 @@ def lab_details(
         undecided=tuple(map(str, undecided)),
         faults=faults.slips,
         fixture=_fixture(result) if known else None,
-        between_sessions=sessions.describe() if sessions else None,
+        between_sessions=sessions,
         record_next=recorded,
     )
 

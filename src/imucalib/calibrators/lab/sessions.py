@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.calibrators.sessions import Between, NextPowerUp, Sessions, estimate_scatter
+from imucalib.calibrators.sessions import (
+    BetweenSessions,
+    NextPowerUpFacts,
+    ScatterFacts,
+    estimate_scatter,
+)
 from imucalib.core.balance import whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import BIAS, MOUNTING, session_of
@@ -16,26 +21,27 @@ from imucalib.units import DEG, MG
 _CARRIED = {BIAS: ("bias", "mg", MG), MOUNTING: ("mounting", "deg", DEG)}
 
 
-def sessions_of(fit: Fit, names: tuple[str, ...]) -> Sessions | None:
+def sessions_of(fit: Fit, names: tuple[str, ...]) -> BetweenSessions | None:
     """The sessions of a fit, or None where it has only one. names : by number"""
     session = session_of(fit.observations)
     if session is None:
         return None
     used = np.unique(session)
-    between, parameters = list[Between](), list[NextPowerUp]()
+    scatter, parameters = list[ScatterFacts](), list[NextPowerUpFacts]()
     slices, sd = fit.model.slices(fit.observations.context), np.sqrt(np.diag(fit.covariance))
     for k, noise in enumerate(fit.observations.of_sessions, start=fit.at.free):
         effect, unit, si = _CARRIED[noise.name]
         own = range(fit.theta.size)[slices.get(effect, slice(0))]
         one, after = estimate_scatter(
-            (noise.name, effect, unit),
+            noise.name,
+            unit,
             _parts(fit, k, used.size).in_unit(np.eye(3) / si),
             fit.noise.sd[k] / si,
             [(fit.parameters[at].name, float(fit.theta[at]), float(sd[at])) for at in own],
         )
-        between.append(one)
+        scatter.append(one)
         parameters += after
-    return Sessions(tuple(names[k] for k in used), tuple(between), tuple(parameters))
+    return BetweenSessions(tuple(names[k] for k in used), tuple(scatter), tuple(parameters))
 
 
 def session_folds(fit: Fit) -> tuple[Fold, ...]:

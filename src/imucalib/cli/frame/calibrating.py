@@ -257,7 +257,7 @@ def _finish(reports: Sequence[Report], options: Mapping[str, Any]) -> int:
             said = (*outcome.broken, *map(str, outcome.undecided), *outcome.reasons, *said)
             said = said or (outcome.status,)
         if said:
-            say(f"error: {outcome.provenance.path}: {'; '.join(said)}", err=True)
+            say(f"error: {outcome.provenance.input}: {'; '.join(said)}", err=True)
     return max(codes)
 
 
@@ -272,7 +272,7 @@ def _gate(report: Report, fail_on: Gate) -> Report:
 
 def _place(report: Report, folder: Path) -> Report:
     """The report with its advice in terms of the files that are read and written."""
-    source = report.run.outcome.provenance.path
+    source = report.run.outcome.provenance.input
     typed = click.get_current_context().params
     read = [*_inputs(typed), *_paths(v for name, v in typed.items() if name != "output")]
     given = next((path for path in read if path.name == source), read[0])
@@ -296,14 +296,13 @@ def _propose_output(report: Report) -> Report:
 
 def _write(report: Report, folder: Path, options: Mapping[str, Any]) -> int:
     """The files; the exit code of forms that were not written since they lose too much."""
-    from imucalib.exports import export
-    from imucalib.exports.bound import demand_carried
+    from imucalib.exports import demand_carried, export
     from imucalib.report.files import write_report
 
     run, made, refused = report.run, [], []
     fit = run.outcome.fit
     for name in options["export"] if fit is None or fit.converged else ():
-        one = export(run.calibration, run.outcome.provenance.path, name)
+        one = export(run.calibration, run.outcome.provenance.input, name)
         try:
             if not options["force"]:
                 demand_carried(one, name, run.calibration, None)

@@ -39,8 +39,7 @@ def color() -> bool:
 
 def emit_json(content: Any) -> None:
     """The result as one JSON document on stdout."""
-    from imucalib.calibration.plain import json_text
-    from imucalib.data import plain
+    from imucalib.data import json_text, plain
 
     text = json_text(plain(content))
     click.echo(_CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text))

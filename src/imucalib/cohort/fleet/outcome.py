@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.comparison.agreement import ExcessScatter, estimate_excess
-from imucalib.calibration.provenance import Provenance
+from imucalib.calibration.comparison.agreement import kind_of
+from imucalib.calibration.triads import Triad
 from imucalib.calibrators.population import Population, PriorNoise, PriorParameter
 from imucalib.cohort.fleet.search import FleetEffect, Priors, Search
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit, StoredParameter
 from imucalib.effects import named
-from imucalib.estimators.power_ups import predict_next
+from imucalib.errors import UnreadableInput
+from imucalib.estimators.power_ups import ExcessScatter, estimate_excess, predict_next
+from imucalib.posterior.closed_loop.sums import Sums
 from imucalib.posterior.held_out import Difference
+from imucalib.units import MG
 
 #: Devices from which on there is a scatter to speak of.
 FEWEST = 4
@@ -27,6 +31,49 @@ _SURE, _VANISHED = 0.05, 0.1
 _ALPHA, _FEWEST = 0.01, 5
 #: Sizes of a noise (devices,) and their relative standard deviations.
 Sizes = tuple[Array, Array]
+
+
+@dataclass(frozen=True)
+class DeviceRecording:
+    """One recording of a device, calibrated.
+
+    name : short, of its own in a fleet; calibration : at last with the fleet's effects
+    path : of the recording as far as it is known; device : as it names it, or empty
+    sums : what it says of every effect, or None; kept : why the fleet's are not in it, or empty
+    """
+
+    name: str
+    calibration: Calibration
+    path: str = ""
+    device: str = ""
+    sums: Sums | None = None
+    kept: str = ""
+
+    @property
+    def provenance(self) -> Mapping[str, Any]:
+        """As calibration.yaml has it."""
+        return dict(self.calibration.facts["provenance"])
+
+    @property
+    def values(self) -> tuple[StoredParameter, ...]:
+        """All parameters, fixture included; of an array also each IMU's gain and bias."""
+        return (*self.calibration.parameters, *_of_imus(self.calibration.triads))
+
+
+@dataclass(frozen=True)
+class FleetMember:
+    """A device of the fleet. base, final : error without and with what the others say, mg, NaN
+    where not computed; found_by_others : effects that these find without it, behind `final`"""
+
+    name: str
+    recordings: tuple[DeviceRecording, ...]
+    base: float
+    final: float
+    found_by_others: tuple[str, ...] = ()
+
+    def folder_of(self, recording: DeviceRecording) -> str:
+        """Where its calibration is written, below the fleet's folder."""
+        return f"{self.name}/{recording.name}" if len(self.recordings) > 1 else self.name
 
 
 @dataclass(frozen=True)
@@ -64,6 +111,79 @@ class Outlier:
     mean: float
     scatter: float
     p: float
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Devices of one kind.
+
+    members : in the order given
+    failed : file -> why it is no member
+    search : what was found, None where no recording holds what a search needs
+    spreads : of every parameter that all have
+    outliers : who is not of the kind
+    difference : held-out error over all members, mg, None where nothing was found
+    calibrator : of every device; command : that was typed
+    settings : as provenance has them
+    following : what it says of the next device, None for fewer than four
+    notes : what else a reader must know
+    """
+
+    members: tuple[FleetMember, ...]
+    failed: tuple[tuple[str, str], ...]
+    search: Search | None
+    spreads: tuple[Spread, ...]
+    outliers: tuple[Outlier, ...]
+    difference: Difference | None
+    calibrator: str
+    command: str
+    settings: Mapping[str, object]
+    following: Population | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def found(self) -> tuple[FleetEffect, ...]:
+        """Effects that all devices share."""
+        return self.search.found if self.search else ()
+
+    @property
+    def verdict(self) -> str:
+        """ "explained", "suspected", "unexplained", "nothing found" or "not searched"."""
+        if self.search is None:
+            return "not searched"
+        if not self.search.found:
+            return "unexplained" if self.search.refused else "nothing found"
+        proved = self.difference is not None and self.difference.proved
+        return "explained" if proved else "suspected"
+
+    @property
+    def exit_code(self) -> int:
+        """5 where something is left open: a suspicion, an outlying device, a file that failed."""
+        open_ = self.verdict in ("suspected", "unexplained") or self.outliers or self.failed
+        return 5 if open_ else 0
+
+
+def _of_imus(triads: Sequence[Triad]) -> Iterator[StoredParameter]:
+    """Gain and bias of every IMU of an array."""
+    for triad in triads:
+        sd = np.sqrt(np.maximum(np.diag(triad.covariance), 0.0)).tolist()
+        for k, (i, j) in enumerate(np.ndindex(3, 3)):
+            name, gain = f"{triad.name}.gain_{'xyz'[i]}{'xyz'[j]}", float(triad.gain[i, j])
+            yield StoredParameter(name, "scale", "", gain, sd[k], "1")
+        for k, axis in enumerate("xyz"):
+            name, bias = f"{triad.name}.bias_{axis}", float(triad.bias[k]) / MG
+            yield StoredParameter(name, "bias", "", bias, sd[9 + k] / MG, "mg")
+
+
+def demand_new(one: DeviceRecording, known: dict[str, str], what: str) -> None:
+    """Raise UnreadableInput for a table or recording that is there, by name, already: counted
+    twice, it would agree with itself. known : sha256 -> name, to which it is added"""
+    sha256 = one.provenance["sha256"]
+    if sha256 in known:
+        raise UnreadableInput(
+            f"the same {what} as {known[sha256]}", remedy="give each device's once"
+        )
+    known[sha256] = one.name
 
 
 def estimate_spreads(
@@ -111,11 +231,11 @@ def average_devices(
     return np.bincount(device, weight * values) / total, np.sqrt(1.0 / total), within
 
 
-def shared_parameters(
-    tables: Sequence[Sequence[StoredParameter]], pooled: Sequence[str], device: Index
-) -> tuple[Spread, ...]:
+def shared_parameters(members: Sequence[FleetMember], pooled: Sequence[str]) -> tuple[Spread, ...]:
     """Of every parameter that all recordings have, without effects whose sizes are pooled already:
-    there each device's value leans on the others'. device : (recordings,), see `average_devices`"""
+    there each device's value leans on the others'."""
+    device = np.repeat(np.arange(len(members)), [len(m.recordings) for m in members])
+    tables = [r.values for m in members for r in m.recordings]
     by_name = [{p.name: p for p in own if p.effect not in pooled} for own in tables]
     shared = [p for name, p in by_name[0].items() if all(name in table for table in by_name)]
     if not shared:
@@ -169,27 +289,30 @@ def group_alike(names: Sequence[str]) -> list[list[int]]:
     """Numbers of the parameters that are alike: "bias_x" with "bias_y" and "bias_z"."""
     kinds = dict[str, list[int]]()
     for k, name in enumerate(names):
-        kinds.setdefault(name.rpartition("_")[0] or name, []).append(k)
+        kinds.setdefault(kind_of(name), []).append(k)
     return list(kinds.values())
 
 
 def population_of(
-    base: Sequence[Spread],
+    names: Sequence[str],
+    spreads: Sequence[Spread],
     effects: Priors,
     noise: Mapping[str, Sizes],
     context: Context,
     reference: str,
 ) -> Population | None:
-    """None for fewer than four devices.
+    """None for fewer than four devices, and where not all have every parameter of the base model.
 
-    base : of the base model's parameters, in order; effects : that the fleet shares, with the size
-    of the next device in typical sizes; noise : "reading" (m/s²), and each component's (rad)
-    context : that names the effects' parameters
+    names : of the base model's parameters, in order; spreads : theirs, among others
+    effects : that the fleet shares, with the size of the next device in typical sizes
+    noise : "reading" (m/s²), and each component's (rad); context : that names effects' parameters
+    reference : as of `lab`
     """
     from scipy.linalg import block_diag
 
-    count = len(base[0].values)
-    if count < FEWEST:
+    base = [one for name in names for one in spreads if one.name == name]
+    count = len(base[0].values) if base else 0
+    if len(base) < len(names) or count < FEWEST:
         return None
     every = [PriorParameter(one.name, one.unit, one.mean, one.next_sd) for one in base]
     blocks = [np.array([[one.sd**2]]) for one in every]
@@ -231,80 +354,3 @@ def _noise(name: str, sizes: Array, sds: Array) -> PriorNoise:
     logs = np.log(np.maximum(sizes, least))
     said = predict_next(logs[:, None], np.where(gone, 1.0, np.maximum(sds, _SURE))[:, None])
     return PriorNoise(name, float(np.exp(said.mean[0])), max(float(said.sd[0]), _SURE))
-
-
-@dataclass(frozen=True)
-class DeviceRecording:
-    """One recording of a device. calibration : with the fleet's effects; kept : why these are not
-    in it, or empty"""
-
-    name: str
-    provenance: Provenance
-    calibration: Calibration
-    kept: str = ""
-
-
-@dataclass(frozen=True)
-class FleetMember:
-    """A device of the fleet. base, final : error without and with what the others say, mg, NaN
-    where not computed; found_by_others : effects that these find without it, behind `final`"""
-
-    name: str
-    recordings: tuple[DeviceRecording, ...]
-    base: float
-    final: float
-    found_by_others: tuple[str, ...] = ()
-
-    def folder_of(self, recording: DeviceRecording) -> str:
-        """Where its calibration is written, below the fleet's folder."""
-        return f"{self.name}/{recording.name}" if len(self.recordings) > 1 else self.name
-
-
-@dataclass(frozen=True)
-class Fleet:
-    """Devices of one kind.
-
-    members : in the order given
-    failed : file -> why it is no member
-    search : what was found, None where no recording holds what a search needs
-    spreads : of every parameter that all have
-    outliers : who is not of the kind
-    difference : held-out error over all members, mg, None where nothing was found
-    calibrator : of every device; command : that was typed
-    settings : as provenance has them
-    following : what it says of the next device, None for fewer than four
-    notes : what else a reader must know
-    """
-
-    members: tuple[FleetMember, ...]
-    failed: tuple[tuple[str, str], ...]
-    search: Search | None
-    spreads: tuple[Spread, ...]
-    outliers: tuple[Outlier, ...]
-    difference: Difference | None
-    calibrator: str
-    command: str
-    settings: Mapping[str, object]
-    following: Population | None = None
-    notes: tuple[str, ...] = ()
-
-    @property
-    def found(self) -> tuple[FleetEffect, ...]:
-        """Effects that all devices share."""
-        return self.search.found if self.search else ()
-
-    @property
-    def verdict(self) -> str:
-        """ "explained", "suspected", "unexplained", "nothing found" or "not searched"."""
-        if self.search is None:
-            return "not searched"
-        if not self.search.found:
-            return "unexplained" if self.search.refused else "nothing found"
-        proved = self.difference is not None and self.difference.proved
-        return "explained" if proved else "suspected"
-
-    @property
-    def exit_code(self) -> int:
-        """5 where something is left open: a suspicion, an outlying device, a file that failed."""
-        open_ = self.verdict in ("suspected", "unexplained") or self.outliers or self.failed
-        return 5 if open_ else 0

@@ -1,45 +1,131 @@
-"""From finished calibrations to a fleet: what the devices share, and how they differ."""
+"""From finished calibrations to a fleet: what the devices share, and how they differ. They are
+taken from a run's folder, its files, or a batch."""
 
 from __future__ import annotations
 
 import csv
+import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.calibration import sums as block
+from imucalib.calibration.file import check, read
 from imucalib.calibrators.population import Population
-from imucalib.cohort.fleet.calibrated import Calibrated, load_calibrations
+from imucalib.cohort.entries import calibration_beside
 from imucalib.cohort.fleet.outcome import (
     DeviceRecording,
     Fleet,
     FleetMember,
     Spread,
+    demand_new,
     outliers,
     population_of,
     shared_parameters,
 )
-from imucalib.cohort.fleet.pooled import PooledDevice, evidence_of_sizes
-from imucalib.cohort.fleet.search import Priors, Search, search_fleet
+from imucalib.cohort.fleet.search import (
+    PooledDevice,
+    Priors,
+    Search,
+    evidence_of_sizes,
+    search_fleet,
+)
 from imucalib.core.effect import Context
 from imucalib.core.fit import StoredParameter
 from imucalib.effects import named
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
 from imucalib.posterior.candidates import effects_to_search
 from imucalib.posterior.closed_loop.sums import Sums, columns_of
 from imucalib.posterior.held_out import Difference, add_density, difference
+from imucalib.recording.identity import NAMELESS
 from imucalib.units import MG
 
+#: What is no table: a folder of a run or of a batch, a calibration, a report, an entry.
+_SUFFIXES = (".yaml", ".yml", ".json")
 #: sd of an effect that a recording has by itself, in typical sizes: its own data decide.
 _OWN = 10.0
 #: Headings of the two columns, the first that is there: `imucal collect` writes the last ones.
 _RECORDING, _DEVICE = ("recording", "path"), ("device", "serial")
 #: Status of a calibration that rests on a prior as much as on its postures.
 _WEAK = "weak"
+
+
+def is_calibrated(path: Path) -> bool:
+    """Whether a path is a calibration's, and not a table's or a recording's."""
+    return path.is_dir() or path.suffix.lower() in _SUFFIXES
+
+
+def load_calibrations(
+    paths: Sequence[Path],
+) -> tuple[tuple[DeviceRecording, ...], tuple[tuple[str, str], ...]]:
+    """Every calibration, and what could not be read or was no calibration: file -> why."""
+    found, failed, known = list[DeviceRecording](), list[tuple[str, str]](), dict[str, str]()
+    for path in paths:
+        for file in _reports(path):
+            try:
+                one = _read(file)
+                demand_new(one, known, "recording")
+                found.append(one)
+            except ImucalError as error:
+                short = file.parent.name if file.name == "report.json" else file.stem
+                failed.append((short, str(error)))
+    # Recordings of the same name are numbered in the order given.
+    often, seen, apart = Counter(one.name for one in found), Counter[str](), []
+    for one in found:
+        seen[one.name] += 1
+        number = f"_{seen[one.name]}" if often[one.name] > 1 else ""
+        apart.append(replace(one, name=f"{one.name}{number}"))
+    return tuple(apart), tuple(failed)
+
+
+def _reports(path: Path) -> Iterator[Path]:
+    """The JSON files that a path means. Raises UnreadableInput where there are none."""
+    if path.is_file() and path.suffix.lower() == ".json":
+        yield path
+        return
+    folder = path if path.is_dir() else path.parent
+    if (folder / "report.json").is_file():
+        yield folder / "report.json"
+        return
+    entries = sorted(folder.glob("*.json")) if path.is_dir() else []
+    if not entries:
+        raise UnreadableInput(
+            "no report.json of a calibration, and no entries of a batch",
+            where=str(path),
+            remedy="give the folder that a calibrating command wrote, with all of its files, or "
+            "that of `imucal batch`",
+        )
+    yield from entries
+
+
+def _read(file: Path) -> DeviceRecording:
+    """Raises UnreadableInput for what is no report with its calibration beside it, or an entry of
+    what was not calibrated."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        entry = "exit_code" in content and "calibrator" not in content
+        if entry and content["row"] is None:
+            raise UnreadableInput(content["error"] or "it was not calibrated", where=str(file))
+        stored = calibration_beside(file) if entry else file.with_name("calibration.yaml")
+        own, sums = read(stored), content["sums"] if entry else content.get(block.KEY)
+        check(own, str(stored))
+        made = own.facts["provenance"]
+        return DeviceRecording(
+            name=Path(made["input"]).name.partition(".")[0],
+            calibration=own,
+            path=content["recording"] if entry else made["input"],
+            device=(own.sensor or NAMELESS).serial,
+            sums=None if sums is None else block.sums_of(sums),
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UnreadableInput(
+            f"no report of imucal, or a damaged one: {error!r}", where=str(file)
+        ) from None
 
 
 def device_of(name: str, recordings: Sequence[Sums], wanted: Sequence[str]) -> PooledDevice:
@@ -98,19 +184,16 @@ def _sizes(
     return names, covariance @ towards, covariance
 
 
-def _recording(
-    one: Calibrated, device: PooledDevice | None, said: Priors
-) -> tuple[DeviceRecording, tuple[StoredParameter, ...]]:
-    """With its device's effects; as it is where the fleet has nothing for it, or where it has what
-    the fleet cannot keep."""
+def _put_in(one: DeviceRecording, device: PooledDevice | None, said: Priors) -> DeviceRecording:
+    """A recording with its device's effects; as it is where the fleet has nothing for it, or where
+    it has what the fleet cannot keep."""
     if one.sums is None or device is None or not said:
-        return DeviceRecording(one.name, one.provenance, one.calibration), one.values
+        return one
     base = one.sums.base
     # Effects that the recording's own search has added to the base model.
     own = list(dict.fromkeys(v.effect for v in one.values if v.name not in set(base.parameters)))
     if lost := [name for name in own if name not in one.sums.blocks]:
-        kept = f"it has {', '.join(lost)} of its own"
-        return DeviceRecording(one.name, one.provenance, one.calibration, kept), one.values
+        return replace(one, kept=f"it has {', '.join(lost)} of its own")
     names, mean, covariance = _sizes(device, said, own)
     able = [name for name in names if name in one.sums.blocks]
     at = np.flatnonzero(np.isin(np.repeat(names, [device.columns[n].size for n in names]), able))
@@ -138,7 +221,7 @@ def _recording(
         facts={**one.calibration.facts, "fleet": facts},
         sha256="",
     )
-    return DeviceRecording(one.name, one.provenance, made), stored
+    return replace(one, calibration=made)
 
 
 def read_devices(path: Path) -> dict[str, str]:
@@ -164,13 +247,15 @@ def read_devices(path: Path) -> dict[str, str]:
     return {**short, **named}
 
 
-def assign_devices(found: Sequence[Calibrated], named: Mapping[str, str]) -> tuple[Calibrated, ...]:
+def assign_devices(
+    found: Sequence[DeviceRecording], named: Mapping[str, str]
+) -> tuple[DeviceRecording, ...]:
     """Every recording with its device: as named, as its file says, or a device by itself.
 
     Raises UnreadableInput where some are named and others are not.
     """
-    own = {one.name: named.get(one.recording) or named.get(one.provenance.path) for one in found}
-    absent = [one.recording for one in found if named and own[one.name] is None]
+    own = {one.name: named.get(one.path) or named.get(one.provenance["input"]) for one in found}
+    absent = [one.path for one in found if named and own[one.name] is None]
     if absent:
         raise UnreadableInput(
             f"no device is named for {', '.join(absent[:3])}"
@@ -218,13 +303,8 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
     sums = {name: [one.sums for one in own if one.sums is not None] for name, own in of.items()}
     own = [device_of(name, every, effects) for name, every in sums.items() if every]
     said = search_fleet(own, say, without=True) if len(own) > 1 else None
-    members, values = _members(of, own, said)
-    device = np.repeat(np.arange(len(of)), [len(own) for own in of.values()])
-    spreads = shared_parameters(
-        [values[one.name] for own in of.values() for one in own],
-        tuple(said.following) if said else (),
-        device,
-    )
+    members = _members(of, own, said)
+    spreads = shared_parameters(members, tuple(said.following) if said else ())
     return Fleet(
         members=members,
         failed=failed,
@@ -232,7 +312,7 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
         spreads=spreads,
         outliers=outliers(list(of), spreads),
         difference=_gain(own, said) if said and said.found else None,
-        calibrator=usable[0].calibrator,
+        calibrator=usable[0].calibration.calibrator,
         command=wanted.command,
         settings=wanted.describe_settings(),
         following=_following(usable, spreads, said),
@@ -241,7 +321,7 @@ def run_recorded(paths: Sequence[Path], wanted: Wanted, say: Callable[[str], Non
 
 
 def _demand_one_kind(
-    usable: Sequence[Calibrated], failed: Sequence[tuple[str, str]], weak: int
+    usable: Sequence[DeviceRecording], failed: Sequence[tuple[str, str]], weak: int
 ) -> None:
     if len({one.device for one in usable}) < 2:
         why = [f"{name}: {text}" for name, text in failed]
@@ -252,7 +332,7 @@ def _demand_one_kind(
             remedy="give the calibrations of more devices; --devices says which recording is of "
             "which",
         )
-    kinds = {one.calibrator: one for one in usable}
+    kinds = {one.calibration.calibrator: one for one in usable}
     if len(kinds) > 1:
         text = ", ".join(f"{one.name} of {kind}" for kind, one in kinds.items())
         raise UsageError(f"calibrations of different kinds: {text}", remedy="give those of one")
@@ -267,23 +347,19 @@ def _demand_one_kind(
 
 
 def _members(
-    of: Mapping[str, Sequence[Calibrated]], own: Sequence[PooledDevice], said: Search | None
-) -> tuple[tuple[FleetMember, ...], dict[str, tuple[StoredParameter, ...]]]:
-    """Devices, and of every recording the parameters with what its device has."""
-    device = {one.name: one for one in own}
-    members, values = list[FleetMember](), dict[str, tuple[StoredParameter, ...]]()
+    of: Mapping[str, Sequence[DeviceRecording]], own: Sequence[PooledDevice], said: Search | None
+) -> tuple[FleetMember, ...]:
+    """Devices, every recording with what its device has."""
+    device, members = {one.name: one for one in own}, list[FleetMember]()
     for name, recordings in of.items():
-        made = []
-        for one in recordings:
-            given = said.by_others.get(name, {}) if said else {}
-            recording, values[one.name] = _recording(one, device.get(name), given)
-            made.append(recording)
+        given = said.by_others.get(name, {}) if said else {}
+        made = tuple(_put_in(one, device.get(name), given) for one in recordings)
         base = final = float("nan")
         others = said.unseen.get(name, {}) if said else {}
         if name in device:
             base, final = device[name].noise, predict_noise(device[name], others)[0]
-        members.append(FleetMember(name, tuple(made), base, final, tuple(others)))
-    return tuple(members), values
+        members.append(FleetMember(name, made, base, final, tuple(others)))
+    return tuple(members)
 
 
 def _gain(own: Sequence[PooledDevice], said: Search) -> Difference:
@@ -297,17 +373,17 @@ def _gain(own: Sequence[PooledDevice], said: Search) -> Difference:
 
 
 def _following(
-    usable: Sequence[Calibrated], spreads: Sequence[Spread], said: Search | None
+    usable: Sequence[DeviceRecording], spreads: Sequence[Spread], said: Search | None
 ) -> Population | None:
     """Of worn sensors, whose next recording takes it; None for others."""
     sums = [one.sums for one in usable if one.sums is not None]
-    by_name = {one.name: one for one in spreads}
-    if said is None or not sums or not set(sums[0].base.parameters) <= set(by_name):
+    if said is None or not sums:
         return None
     noise: Array = MG * np.array([np.hypot(one.noise, one.drift) for one in sums])
     sure = np.array([np.sqrt(0.5 / one.dof) for one in sums])
     return population_of(
-        [by_name[name] for name in sums[0].base.parameters],
+        sums[0].base.parameters,
+        spreads,
         said.following,
         {"reading": (noise, sure)},
         Context(1),
@@ -316,7 +392,7 @@ def _following(
 
 
 def _notes(
-    found: Sequence[Calibrated], usable: Sequence[Calibrated], own: Sequence[PooledDevice]
+    found: Sequence[DeviceRecording], usable: Sequence[DeviceRecording], own: Sequence[PooledDevice]
 ) -> tuple[str, ...]:
     notes = []
     if weak := [one.name for one in found if one.calibration.status == _WEAK]:
@@ -325,14 +401,15 @@ def _notes(
             "Calibrate them again beside the others: `imucal actigraph RECORDING --fleet "
             "FOLDER/fleet.yaml`."
         )
+    kind = usable[0].calibration.calibrator
     without = [one.name for one in usable if one.sums is None]
-    if usable[0].calibrator == "actigraph" and without:
+    if kind == "actigraph" and without:
         notes.append(
             f"Without what a search needs (--no-loop, or an earlier version): {', '.join(without)}."
         )
-    if len(own) < 2 and usable[0].calibrator != "actigraph":
+    if len(own) < 2 and kind != "actigraph":
         notes.append(
-            f"Calibrations of `imucal {usable[0].calibrator}` do not hold what a search for shared "
+            f"Calibrations of `imucal {kind}` do not hold what a search for shared "
             "effects needs: their parameters are compared."
         )
     return tuple(notes)

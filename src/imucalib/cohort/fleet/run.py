@@ -7,32 +7,34 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, lab_calibration
-from imucalib.cohort.fleet.calibrated import demand_new
 from imucalib.cohort.fleet.outcome import (
     DeviceRecording,
     Fleet,
     FleetMember,
+    demand_new,
     noise_of,
     outliers,
     population_of,
     shared_parameters,
 )
-from imucalib.cohort.fleet.pooled import device_of
-from imucalib.cohort.fleet.search import Priors, Search, search_fleet
+from imucalib.cohort.fleet.search import PooledDevice, Priors, Search, search_fleet
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.prior import Prior
 from imucalib.errors import ImucalError, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.posterior.candidates import effects_to_search
+from imucalib.posterior.candidates import effect_columns, effects_to_search, testable
 from imucalib.posterior.held_out import Difference, by_folds, difference, folds_of
+from imucalib.posterior.odds import ABSORBED
 from imucalib.units import MG
 
+#: λ of a candidate at typical size below which it is rounding.
+_SHOWN = 1e-6
 #: Devices up to which each one's folds are predicted, with and without what was found.
 _HELD_OUT = 60
 #: Where the others say nothing: sd of a parameter in typical sizes, and of a log of the noise.
@@ -56,12 +58,10 @@ def run_fleet(tables: Sequence[LabFiles], request: LabRequest, say: Callable[[st
         )
     say(f"{len(runs)} devices calibrated alone; searching for what they share")
     fits = [run.result.final for _, run in runs]
-    own = [device_of(name, run.result.final, effects) for name, run in runs]
+    own = [_device_of(name, run.result.final, effects) for name, run in runs]
     said = search_fleet(own, say, without=len(runs) <= _HELD_OUT)
     members, gain = _members(runs, said, effects)
-    made = [r.calibration.parameters for m in members for r in m.recordings]
-    spreads = shared_parameters(made, tuple(said.following), np.arange(len(made)))
-    by_name = {one.name: one for one in spreads}
+    spreads = shared_parameters(members, tuple(said.following))
     return Fleet(
         members=members,
         failed=failed,
@@ -73,7 +73,8 @@ def run_fleet(tables: Sequence[LabFiles], request: LabRequest, say: Callable[[st
         command=request.command,
         settings=request.describe_settings(),
         following=population_of(
-            [by_name[p.name] for p in fits[0].parameters],
+            [p.name for p in fits[0].parameters],
+            spreads,
             said.following,
             noise_of(fits),
             fits[0].observations.context,
@@ -85,24 +86,41 @@ def run_fleet(tables: Sequence[LabFiles], request: LabRequest, say: Callable[[st
 def _calibrate_each(
     tables: Sequence[LabFiles], request: LabRequest, say: Callable[[str], None]
 ) -> tuple[list[tuple[str, LabRun]], tuple[tuple[str, str], ...]]:
-    """Runs by name, and what could not be calibrated; one bad file loses no other.
-
-    A table that is there already is no device: counted twice, it would agree with itself."""
+    """Runs by name, and what could not be calibrated; one bad file loses no other."""
     paths = [files.table for files in tables]
     names = [path.stem for path in paths]
     if len(set(names)) < len(names):
         names = ["_".join(filter(None, (path.parent.name, path.stem))) for path in paths]
-    runs, failed = list[tuple[str, LabRun]](), list[tuple[str, str]]()
+    runs, failed, known = list[tuple[str, LabRun]](), list[tuple[str, str]](), dict[str, str]()
     for name, files in zip(names, tables, strict=True):
         try:
             run = calibrate_files(files, request, lambda _: None)
-            others = [(other, one.outcome.provenance) for other, one in runs]
-            demand_new(run.outcome.provenance, others, "table")
+            demand_new(DeviceRecording(name, run.calibration), known, "table")
             runs.append((name, run))
         except ImucalError as error:
             failed.append((name, str(error)))
             say(f"{name}: {error}")
     return runs, tuple(failed)
+
+
+def _device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> PooledDevice:
+    """All effects that the data can carry and the base model does not absorb."""
+    white, q = fit.white_basis()
+    residual = white(fit.at.residual) / fit.noise.factor
+    kept, columns, at = list[Array](), dict[str, Index](), 0
+    for effect in testable(fit, effects.values()):
+        whole = white(effect_columns(fit, effect)) / fit.noise.factor
+        rest = whole - q @ (q.T @ whole)
+        size = float(np.linalg.norm(rest))
+        if size < ABSORBED * float(np.linalg.norm(whole)) or size < _SHOWN:
+            continue
+        columns[effect.name] = np.arange(at, at + rest.shape[1])
+        kept.append(rest)
+        at += rest.shape[1]
+    every = np.column_stack(kept) if kept else np.zeros((residual.size, 0))
+    return PooledDevice(
+        name, fit.noise.factor, columns, every.T @ every, every.T @ residual, float(fit.dof)
+    )
 
 
 def _members(
@@ -125,7 +143,7 @@ def _members(
             folds = max(folds, min(len(before.size), 30))
         result = replace(run.result, final=final)
         made = lab_calibration(run.outcome, result, run.raw, run.details)
-        one = DeviceRecording(name, run.outcome.provenance, made)
+        one = DeviceRecording(name, made)
         members.append(FleetMember(name, (one,), base_error, final_error, tuple(others)))
     if not pairs:
         return tuple(members), None

@@ -16,7 +16,7 @@ from click.testing import Result
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.file import write
+from imucalib.calibration.file import to_yaml, write_whole
 from imucalib.calibrators.array.fusion.fuse import Fused
 from imucalib.calibrators.array.fusion.instrument import (
     NonlinearTerms,
@@ -260,7 +260,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
     motion = moves(rng, still=8.0, moving=8.0, hz=100.0, twist=150.0, late=1e-3, fastest=2.0)
     folder = tmp_path_factory.mktemp("fused")
     log = recording(made, motion.t, *readings(made, motion, rng))
-    write(calibration(made), folder / "c.yaml")
+    write_whole(folder / "c.yaml", to_yaml(calibration(made)))
     for name in ("log.h5", "log.mcap", "log.csv"):
         write_recording(log, folder / name)
     return Files(folder, motion)

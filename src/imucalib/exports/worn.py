@@ -1,4 +1,5 @@
-"""GGIR's back-up table of coefficients."""
+"""Worn accelerometers: GGIR's back-up table of coefficients, and Open Movement's omconvert with a
+given calibration, for the .cwa files of one Axivity device."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.per_axis import demand_one, lost_per_axis, nearest_row
+from imucalib.exports.nearest import demand_one, heading, lost_per_axis, nearest_row
 from imucalib.recording.pairing import cell
 
 
@@ -50,4 +51,27 @@ def ggir_csv(calibration: Calibration, filename: str) -> Made:
     return Made(out.getvalue(), lost_per_axis(calibration, row, " (in cal.error.end)"), row.lost)
 
 
-EXPORT = Export("ggir-csv", "ggir_calibration.csv", ggir_csv)
+def omconvert(calibration: Calibration, filename: str) -> Made:
+    """A shell script that calls omconvert with these coefficients in place of its own: corrected =
+    (raw + offset) scale + tempoffset (T - reference), in g and °C (openmovement,
+    Software/AX3/omconvert: omcalibrate.c, option -calibration of main.c).
+
+    Raises UsageError for an array.
+    """
+    demand_one(calibration, "omconvert")
+    row = nearest_row(calibration)
+    lost = lost_per_axis(calibration, row)
+    numbers = (*row.scale, *row.offset, *(row.scale * row.slope), row.middle)
+    call = "  sh imucal_omconvert.sh RECORDING.cwa -out RECORDING.wav"
+    lines = [
+        "#!/bin/sh",
+        *heading(calibration, filename, lost, call),
+        'exec omconvert "$@" -calibrate 0 \\',
+        f"  -calibration {','.join(f'{v:.9g}' for v in numbers)}",
+        "",
+    ]
+    return Made("\n".join(lines), lost, row.lost)
+
+
+GGIR = Export("ggir-csv", "ggir_calibration.csv", ggir_csv)
+OMCONVERT = Export("omconvert", "imucal_omconvert.sh", omconvert)

@@ -1,7 +1,9 @@
-"""A script for MATLAB and Octave."""
+"""A matrix and a vector of each sensor: for the ROS package imu_calib, which others took over,
+for a RealSense camera, and for MATLAB and Octave."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +13,56 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.exports import Export, Made
 from imucalib.exports.imus import common_delay, lost_of, lost_rates, places_of
-from imucalib.exports.linear import lost_linear, nearest_linear
+from imucalib.exports.nearest import demand_one, heading, lost_linear, nearest_linear
+from imucalib.recording.yaml_text import dump
+
+#: In what the numbers act on (librealsense, src/proc/motion-transform.cpp).
+_READINGS = "m/s2 and rad/s as read with enable_motion_correction 0, in the axes of the depth image"
+
+
+def imu_calib(calibration: Calibration, filename: str) -> Made:
+    """SM (nine numbers, row by row) and bias (m/s²): corrected = SM reading - bias
+    (dpkoch/imu_calib, accel_calib.cpp). Its node takes the gyroscope's bias from the first samples
+    of a start, and has no place for more. Raises UsageError for an array.
+    """
+    demand_one(calibration, "imu_calib")
+    linear = nearest_linear(calibration)
+    lost = lost_linear(calibration, linear)
+    if gyroscope_of(calibration) is not None:
+        lost += ("the gyroscope, whose bias imu_calib takes from the first samples of every start",)
+    lines = [
+        *heading(calibration, filename, lost, "corrected = SM reading - bias, m/s2."),
+        dump({"SM": linear.M.ravel().tolist(), "bias": (-linear.b).tolist()}),
+    ]
+    return Made("\n".join(lines), lost, linear.mean)
+
+
+def realsense(calibration: Calibration, filename: str) -> Made:
+    """Four rows of three numbers a sensor, X: corrected = (x, y, z, -1) X, in m/s² and rad/s, the
+    first three rows in scale_and_alignment and the last in bias (IntelRealSense/librealsense,
+    tools/rs-imu-calibration: check_X and what it saves, which the camera applies as
+    sensitivity * xyz - bias). JSON has no comments: what is said of it stands in keys of its own.
+    Raises UsageError for an array.
+    """
+    demand_one(calibration, "RealSense")
+    linear, gyro = nearest_linear(calibration), gyroscope_of(calibration)
+    lost = lost_linear(calibration, linear) + lost_rates(calibration)
+    turn, off = np.eye(3), np.zeros(3)
+    if gyro is not None:
+        turn, off = gyro.gain, gyro.gain @ gyro.bias
+    imu = {"accelerometer": _rows(linear.M, -linear.b), "gyroscope": _rows(turn, off)}
+    content = {
+        "made_by": f"imucal, from {filename}, status {calibration.status}",
+        "readings": _READINGS,
+        "not_in_it": lost,
+        "device_type": "D435i",
+        "imus": [imu],
+    }
+    return Made(json.dumps(content, indent=4, ensure_ascii=False) + "\n", lost, linear.mean)
+
+
+def _rows(turn: Array, off: Array) -> dict[str, list[float]]:
+    return {"scale_and_alignment": turn.T.ravel().tolist(), "bias": off.tolist()}
 
 
 def matlab(calibration: Calibration, filename: str) -> Made:
@@ -80,4 +131,6 @@ def _matrix(values: Array) -> str:
     return "[" + "; ".join(" ".join(f"{v:.17g}" for v in row) for row in values) + "]"
 
 
-EXPORT = Export("matlab", "imucal_calibration.m", matlab)
+IMU_CALIB = Export("imu-calib", "imu_calib.yaml", imu_calib)
+REALSENSE = Export("realsense", "calibration.json", realsense)
+MATLAB = Export("matlab", "imucal_calibration.m", matlab)
