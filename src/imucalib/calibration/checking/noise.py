@@ -115,7 +115,7 @@ def _reading(calibration: Calibration, block: Mapping[str, Any]) -> tuple[Scatte
     if own is None:
         raise UsageError(
             "the calibration does not state the noise of a reading",
-            remedy="give it: --noise 0.5mg, or calibrate again with this version",
+            remedy="calibrate again with this version; `imucal check` takes it as --noise 0.5mg",
         )
     if shared is None or not shared.sd > 0.0:
         return own, 0.0, math.inf
