@@ -10,9 +10,9 @@ from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.log import array_log
 from imucalib.calibrators.array.board.moving import Moving, find_moving
 from imucalib.calibrators.array.board.rests import RestFit, fit_rests
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.motion.setup import array_setup
+from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulate_motion
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments

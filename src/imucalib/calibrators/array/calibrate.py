@@ -25,7 +25,6 @@ from imucalib.calibrators.array.board.streams import (
     streams,
 )
 from imucalib.calibrators.array.findings import residual_in_motion
-from imucalib.calibrators.array.motion.board_motion import board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.motion.covariance import (
     add_unevenness,
@@ -38,7 +37,7 @@ from imucalib.calibrators.array.motion.posterior import draw_positions
 from imucalib.calibrators.array.motion.search import frame_term, start_state
 from imucalib.calibrators.array.motion.setup import array_setup, plain_setup
 from imucalib.calibrators.array.motion.state import measure_dispersion
-from imucalib.calibrators.array.motion.terms import rest_terms
+from imucalib.calibrators.array.motion.terms import board_motion, rest_terms
 from imucalib.calibrators.array.motion.total import frame_sd, scale_by_turns, total_of
 from imucalib.calibrators.array.published import draw_as_published
 from imucalib.calibrators.array.request import ArrayRequest

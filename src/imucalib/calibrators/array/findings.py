@@ -18,9 +18,13 @@ from imucalib.calibration.findings import Findings, Gain, Untestable, findings_o
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Left
 from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.rests import RestFit
-from imucalib.calibrators.array.motion.closed_loop import MotionLoop, size_in_words
+from imucalib.calibrators.array.motion.closed_loop import (
+    NORMAL_MAD,
+    Gained,
+    MotionLoop,
+    size_in_words,
+)
 from imucalib.calibrators.array.motion.covariance import POSITIONS, Uneven
-from imucalib.calibrators.array.motion.cross_fit import NORMAL_MAD, Gained
 from imucalib.calibrators.array.motion.effect_blocks import AT_REST, parameters_of
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.motion.terms import typical_of
@@ -55,7 +59,7 @@ def residual_in_motion(loop: MotionLoop | None, state: ArrayState) -> Residual:
     # Each over the share of its variance that the motion leaves it.
     force, rate = (
         np.abs(values[inner]) / np.sqrt(share.share[inner])[..., None]
-        for values, share in zip((off.acceleration, off.rate), kept, strict=True)
+        for values, share in zip(off, kept, strict=True)
     )
     each = (
         np.asarray(NORMAL_MAD * np.median(force, axis=(0, 2))),

@@ -15,8 +15,7 @@ from imucalib.calibrators.array.motion.posterior import (
 )
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.errors import NotConverged, Undetermined
-from imucalib.estimators.array.published.algorithm import run_pmmh
-from imucalib.estimators.array.published.likelihood import ArrayData, DrawnPrior
+from imucalib.estimators.array.published import ArrayData, DrawnPrior, run_pmmh
 from imucalib.estimators.markov.convergence import convergence
 
 SAMPLES = 2000  # moving samples, where nobody says how many

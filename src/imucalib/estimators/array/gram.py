@@ -14,7 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
-from imucalib.estimators.array.samples import Readings, Sampled
+from imucalib.estimators.array.samples import Pair, Sampled
 
 _ROWS = 600  # samples that are worked on at a time, within the processor's cache
 
@@ -78,8 +78,8 @@ def _add(
     residual, power = np.zeros((n, 9)), 0.0
     for gyro in (False, True):
         mine = [(b, start) for b, start in zip(blocks, starts, strict=False) if b.gyro is gyro]
-        weight = np.sqrt(sampled.weights.of(gyro=gyro)[rows])
-        off = sampled.off.of(gyro=gyro)[rows] * weight[..., None]
+        weight = np.sqrt(sampled.weights[gyro][rows])
+        off = sampled.off[gyro][rows] * weight[..., None]
         power += float(np.sum(off * off))
         for triad in range(k):
             arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)
@@ -131,11 +131,11 @@ def scores(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Array:
 
 def _heavy(sampled: Sampled, rows: Index, *, gyro: bool) -> Array:
     """(K, rows, 3) weighted residuals of one kind of sensor."""
-    weight = sampled.weights.of(gyro=gyro)[rows][..., None]
-    return np.asarray((sampled.off.of(gyro=gyro)[rows] * weight).swapaxes(0, 1))
+    weight = sampled.weights[gyro][rows][..., None]
+    return np.asarray((sampled.off[gyro][rows] * weight).swapaxes(0, 1))
 
 
-def project_out_motion(sampled: Sampled, change: Readings) -> Readings:
+def project_out_motion(sampled: Sampled, change: Pair) -> Pair:
     """What remains of a change (T, K, 3) of the readings when the motion follows it, to first
     order."""
     n, k = change.rate.shape[:2]
@@ -145,7 +145,7 @@ def project_out_motion(sampled: Sampled, change: Readings) -> Readings:
     right[:, 0, 6:] += np.einsum("tk,tki->ti", sampled.weights.rate, change.rate)
     nine = np.matmul(sampled.root, np.matmul(right, sampled.root).transpose(0, 2, 1))
     moved = np.matmul(arms, nine).reshape(n, k, 3)
-    return Readings(change.acceleration - moved, change.rate - nine[:, None, 6:, 0])
+    return Pair(change.acceleration - moved, change.rate - nine[:, None, 6:, 0])
 
 
 def marginalize(matrix: Array, prior: Array) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,34 +25,18 @@ _LAST = 1e-6
 SPIN = np.deg2rad(3e6) ** -2.0
 
 
-@dataclass(frozen=True)
-class Readings:
-    """acceleration (m/s²) and rate (rad/s) : (T, K, 3), board axes."""
+class Pair(NamedTuple):
+    """Of accelerometers and of gyros, in board axes and SI units: readings (T, K, 3), or what they
+    are weighted by, the inverse variances (T, K) of each triad's axes."""
 
     acceleration: Array
     rate: Array
 
-    def of(self, *, gyro: bool) -> Array:
-        """Those of one kind of sensor."""
-        return self.rate if gyro else self.acceleration
+    def take(self, rows: Index) -> Pair:
+        return Pair(self.acceleration[rows], self.rate[rows])
 
-    def take(self, rows: Index) -> Readings:
-        return Readings(self.acceleration[rows], self.rate[rows])
-
-    def less(self, other: Readings) -> Readings:
-        return Readings(self.acceleration - other.acceleration, self.rate - other.rate)
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Inverse variances (T, K) of each triad's axes: (m/s²)^-2 and (rad/s)^-2."""
-
-    acceleration: Array
-    rate: Array
-
-    def of(self, *, gyro: bool) -> Array:
-        """Those of one kind of sensor."""
-        return self.rate if gyro else self.acceleration
+    def less(self, other: Pair) -> Pair:
+        return Pair(self.acceleration - other.acceleration, self.rate - other.rate)
 
 
 @dataclass(frozen=True)
@@ -70,13 +55,12 @@ class Sampled:
     origin: Array
     force: Array
     turn: Array
-    off: Readings
-    weights: Weights
+    off: Pair
+    weights: Pair
     r: Array
     root: Array
 
     def take(self, rows: Index) -> Sampled:
-        weights = Weights(self.weights.acceleration[rows], self.weights.rate[rows])
         return Sampled(
             rate=self.rate[rows],
             spin=self.spin[rows],
@@ -84,7 +68,7 @@ class Sampled:
             force=self.force[rows],
             turn=self.turn[rows],
             off=self.off.take(rows),
-            weights=weights,
+            weights=self.weights.take(rows),
             r=self.r,
             root=self.root[rows],
         )
@@ -231,7 +215,7 @@ class Information:
         return x, root
 
 
-def _information(readings: Readings, weights: Weights, r: Array) -> Information:
+def _information(readings: Pair, weights: Pair, r: Array) -> Information:
     """Of triads whose three axes count alike."""
     t, (place, pairs) = len(readings.rate), places(r)
     normal = np.zeros((t, 3, 4, 3, 4))
@@ -246,7 +230,7 @@ def _information(readings: Readings, weights: Weights, r: Array) -> Information:
 
 
 def fit_samples(
-    readings: Readings, weights: Weights, r: Array, start: Array | Sampled, rounds: int = _ROUNDS
+    readings: Pair, weights: Pair, r: Array, start: Array | Sampled, rounds: int = _ROUNDS
 ) -> Sampled:
     """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby; rounds :
     steps at most, one where the weights are about to change.
@@ -269,7 +253,7 @@ def fit_samples(
         origin=x[:, :3],
         force=force,
         turn=turn,
-        off=Readings(readings.acceleration - force, readings.rate - rate[:, None]),
+        off=Pair(readings.acceleration - force, readings.rate - rate[:, None]),
         weights=weights,
         r=r,
         root=root,
@@ -278,7 +262,7 @@ def fit_samples(
 
 def reweigh(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     """The same motion with all weights of each kind of sensor times a factor."""
-    weights = Weights(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
-    rest = Readings(sampled.force, sampled.off.rate)  # whatever they read, they say as much
+    weights = Pair(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
+    rest = Pair(sampled.force, sampled.off.rate)  # whatever they read, they say as much
     root = _information(rest, weights, sampled.r).roots(sampled.rate)
     return replace(sampled, weights=weights, root=root)

@@ -26,7 +26,7 @@ from imucalib.calibrators.array.fusion.instrument import (
 )
 from imucalib.calibrators.array.fusion.recording import fuse_stretch
 from imucalib.calibrators.array.fusion.survey import NotFusable, Survey, side_by_side, survey
-from imucalib.calibrators.array.motion.board_motion import board_motion
+from imucalib.calibrators.array.motion.terms import board_motion
 from imucalib.errors import UsageError
 from imucalib.readers import read
 from imucalib.recording.recording import Recording

@@ -9,8 +9,8 @@ import pytest
 
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.motion.covariance import add_unevenness
-from imucalib.calibrators.array.motion.density import PositionDensity
 from imucalib.calibrators.array.motion.posterior import (
+    PositionDensity,
     along,
     draw_positions,
     rank_directions,

@@ -7,11 +7,11 @@ import pytest
 
 from gates.bounds import at_most
 from imucalib.calibrators.array.board.catalogue import Scope, array_catalogue, find_effect
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop
+from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.errors import UsageError
 from imucalib.estimators.array.gram import Columns, gram
-from imucalib.estimators.array.samples import Readings, Weights, fit_samples
+from imucalib.estimators.array.samples import Pair, fit_samples
 from worlds.array import corners, skew
 from worlds.array_stories import BOARD, STORIES, closed, named, planted_log, positions_z
 from worlds.places import ROOT
@@ -58,8 +58,8 @@ def test_the_motion_is_taken_out_exactly() -> None:
     y = np.einsum("tij,kj->tki", turn, r) + rng.normal(size=(t, 1, 3)) * 9.0
     y += rng.normal(size=y.shape) * 0.1
     g = w[:, None] + rng.normal(size=(t, k, 3)) * 0.01
-    weights = Weights(rng.uniform(50.0, 150.0, (t, k)), rng.uniform(5e3, 2e4, (t, k)))
-    sampled = fit_samples(Readings(y, g), weights, r, w)
+    weights = Pair(rng.uniform(50.0, 150.0, (t, k)), rng.uniform(5e3, 2e4, (t, k)))
+    sampled = fit_samples(Pair(y, g), weights, r, w)
     blocks = [
         Columns(rng.normal(size=(k, t, 3, 2)), False, False),
         Columns(rng.normal(size=(k, t, 3, 3)), True, True),

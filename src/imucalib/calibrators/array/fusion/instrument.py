@@ -20,20 +20,17 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad, effect_covariance
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.calibrators.array.motion.effect_blocks import AT_REST
 from imucalib.calibrators.array.motion.linear_part import slope_at_rest
-from imucalib.calibrators.array.motion.terms import Term, evaluate_lags
+from imucalib.calibrators.array.motion.terms import BoardMotion, Term, board_motion, evaluate_lags
 from imucalib.core.effect import MOTION, Response, cross_matrix
 from imucalib.core.eigen import eigen
 from imucalib.effects import known
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.array.fusion import FusedMotion, Sensed
-from imucalib.estimators.array.samples import slope_of, turning
+from imucalib.estimators.array.samples import Pair, slope_of, turning
 from imucalib.units import DEG, STANDARD_GRAVITY
 
-#: Of accelerometers and of gyros, in SI units.
-Pair = tuple[Array, Array]
 _AGE = "sample_age"
 _SMALL = 1e-9  # share of an effect beyond its linear part that is rounding
 _FLAT = 1e-12  # of the largest variance of an effect's parameters, below which it is rounding
@@ -124,7 +121,7 @@ class NonlinearTerms:
     def evaluate(self, motion: BoardMotion) -> Pair:
         """(T, K, 3) m/s² and rad/s that corrected readings still hold, in board axes, of lags the
         first order; without what `late` tells."""
-        found = np.zeros((*motion.shape, 3)), np.zeros((*motion.shape, 3))
+        found = Pair(np.zeros((*motion.shape, 3)), np.zeros((*motion.shape, 3)))
         for part in self.parts:
             if not part.late:
                 found[part.gyro][...] += part.evaluate(motion)
@@ -136,10 +133,10 @@ class NonlinearTerms:
         less = evaluate_lags([part.term for part in lagging], motion)
         for part in lagging:
             less[part.gyro][...] += part.evaluate(motion)
-        return self._correct((-less[0], -less[1]))
+        return self._correct(Pair(-less[0], -less[1]))
 
     def _correct(self, found: Pair) -> Pair:
-        return along(self.back[0], found[0]), along(self.back[1], found[1])
+        return Pair(*map(along, self.back, found))
 
     def late(self, t: Array, age: Array | None) -> Array | None:
         """(T, K, 3, 3) s: corrected gyros read ω + late dω/dt at times t (T,) s. age : (T, K) unit
@@ -182,12 +179,11 @@ def read_nonlinear(calibration: Calibration) -> NonlinearTerms:
             parts.append(part)
         if term.aged:
             span = 1e-3 * abs(float(term.value[0]))
-    one, two = np.asarray(np.linalg.inv(gains), np.float64)
     return NonlinearTerms(
         imus=imus,
         rotations=rotations,
         parts=tuple(parts),
-        back=(one, two),
+        back=Pair(*np.linalg.inv(gains)),
         span=span,
         left_out=tuple(left_out),
     )
@@ -296,7 +292,7 @@ def _answers(motion: FusedMotion, sensed: Sensed, r: Array) -> Pair:
     seen[:, :, 6:] = sensed.rate_precision
     if sensed.late is not None:
         seen[:, :, 3:6] = np.matmul(sensed.late.swapaxes(2, 3), sensed.rate_precision)
-    return force, np.asarray(np.matmul(whole, seen))
+    return Pair(force, np.matmul(whole, seen))
 
 
 def doubt_of(calibration: Calibration, places: Array) -> Doubt | None:
@@ -389,7 +385,7 @@ class Instrument:
     @property
     def axes(self) -> Pair:
         """(K, 3, 3), in its rows what each axis of a sensor senses, in board axes."""
-        return (
+        return Pair(
             np.array([t.rotation.T @ t.gain for t in self.triads]),
             np.array([t.rotation.T @ t.gyro_gain for t in self.triads]),
         )
@@ -403,9 +399,9 @@ class Instrument:
                 (read.rate, [t.rate for t in self.triads]),
             )
         )
-        if self.biases is None:
-            return force, rate
-        return force - self.biases.force, rate - self.biases.rate_at(read.t)
+        found = Pair(force, rate)
+        known = self.biases
+        return found if known is None else found.less(Pair(known.force, known.rate_at(read.t)))
 
     def find_clipped(self, read: Stretch) -> tuple[Flags, Flags]:
         """(T, K, 3) which readings are at the end of their range."""

@@ -20,9 +20,9 @@ from imucalib.calibrators.array.board.rests import ATTITUDES, is_contradicted
 from imucalib.calibrators.array.board.streams import Held, repeats
 from imucalib.calibrators.array.fusion.fuse import find_turning, fuse
 from imucalib.calibrators.array.fusion.instrument import Biases, Instrument, Stretch, along
-from imucalib.calibrators.array.fusion.noise import ChipNoise, at_rest, fit_noise
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
+from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.errors import Undetermined, UnreadableInput
+from imucalib.estimators.array.noise import ChipNoise, at_rest, fit_noise
 from imucalib.estimators.array.sample_age import fit_sample_age
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import Segments, find_segments

@@ -9,11 +9,11 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.motion.setup import Setup, describe_motion, select_with_neighbours
-from imucalib.calibrators.array.motion.state import ArrayState, fit_motion_at
+from imucalib.calibrators.array.motion.state import ArrayState, fit_motion_at, subtract_terms
 from imucalib.calibrators.array.motion.terms import Term
 from imucalib.core.effect import Context, Response, Truth
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
-from imucalib.estimators.array.samples import Readings, Sampled, fit_samples
+from imucalib.estimators.array.samples import Sampled, fit_samples
 
 _GROUP = 8  # samples that learn or vote together where all are in the search
 _READINGS = 20_000  # samples times IMUs that are worked on at a time
@@ -137,14 +137,10 @@ def _everywhere(state: ArrayState, rows: Index) -> tuple[Array, Array]:
 
 def _fit_at(state: ArrayState, rows: Index) -> Sampled:
     """The motion of other samples under what was found."""
-    setup = replace(state.setup, rows=rows)
-    readings, sampled = setup.readings, fit_motion_at(setup, state.r, state.noise)
-    plain = [term for term in state.terms if not term.aged]
+    setup, plain = replace(state.setup, rows=rows), tuple(t for t in state.terms if not t.aged)
+    sampled = fit_motion_at(setup, state.r, state.noise)
     for _ in range(2 if plain else 0):
         motion = describe_motion(setup, sampled, np.zeros_like(sampled.force))
-        acceleration, rate = readings.acceleration.copy(), readings.rate.copy()
-        for term in plain:
-            columns = term.columns(motion)
-            (rate if columns.gyro else acceleration)[...] -= term.reading(columns)
-        sampled = fit_samples(Readings(acceleration, rate), sampled.weights, state.r, sampled.rate)
+        rest = subtract_terms(replace(state, setup=setup, terms=plain, motion=motion))
+        sampled = fit_samples(rest, sampled.weights, state.r, sampled.rate)
     return sampled

@@ -16,12 +16,12 @@ from imucalib.calibrators.array.motion.state import (
     fit_motion_at,
     refit_motion,
     subtract_terms,
+    weigh,
 )
 from imucalib.calibrators.array.motion.terms import select_lagging
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.gram import Columns, gram, inverse_root, scores
-from imucalib.estimators.array.noise import MotionNoise
-from imucalib.estimators.array.samples import Sampled, Weights, fit_samples, reweigh
+from imucalib.estimators.array.samples import Sampled, fit_samples, reweigh
 
 #: What is not explained where positions differ, with what the parts differ by.
 POSITIONS = "positions against "
@@ -114,13 +114,13 @@ def information(state: ArrayState) -> tuple[float, float]:
 
     def at(shift: Array, sampled: Sampled) -> Sampled:
         """Weights and motion, fitted anew at a shift (6 K,) of all positions and gyro offsets."""
-        moved = replace(readings, rate=readings.rate - shift[count:].reshape(-1, 3))
+        moved = readings._replace(rate=readings.rate - shift[count:].reshape(-1, 3))
         for _ in range(_ROUNDS):
-            weights = _weights(state.noise, sampled)
+            weights = weigh(state.noise, sampled.off, sampled.rate)
             sampled = fit_samples(moved, weights, r + shift[:count].reshape(-1, 3), sampled)
         return sampled
 
-    weights = _weights(state.noise, state.sampled, rows)
+    weights = weigh(state.noise, state.sampled.off.take(rows), state.sampled.rate[rows])
     first = fit_samples(readings, weights, r, state.sampled.rate[rows])
     start = at(np.zeros(2 * count), first)
     bases = (np.broadcast_to(x, (len(r), len(rows), 3, 3)) for x in (start.turn, np.eye(3)))
@@ -148,17 +148,6 @@ def _score(found: Sampled) -> Array:
     of_places = np.einsum("tij,tki->kj", found.turn, heavy)
     of_offsets = np.einsum("tki,tk->ki", found.off.rate, found.weights.rate)
     return np.concatenate([of_places.ravel(), of_offsets.ravel()])
-
-
-def _weights(
-    noise: tuple[MotionNoise, MotionNoise], sampled: Sampled, rows: Index | slice = slice(None)
-) -> Weights:
-    speed = np.linalg.norm(sampled.rate[rows], axis=1)
-    a, g = (
-        one.weight(np.sum(off[rows] ** 2, axis=2), speed)
-        for one, off in zip(noise, (sampled.off.acceleration, sampled.off.rate), strict=True)
-    )
-    return Weights(a, g)
 
 
 def sandwich(state: ArrayState) -> tuple[Array, Array, Array]:

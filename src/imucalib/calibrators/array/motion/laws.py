@@ -15,8 +15,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.motion.ages import PHASE, phases_of
-from imucalib.calibrators.array.motion.board_motion import BoardMotion
-from imucalib.calibrators.array.motion.terms import Term, typical_columns
+from imucalib.calibrators.array.motion.terms import BoardMotion, Term, typical_columns
 from imucalib.core.course import delay
 from imucalib.core.effect import (
     Basis,

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.motion.board_motion import board_motion
 from imucalib.calibrators.array.motion.state import ArrayState
-from imucalib.calibrators.array.motion.terms import Term
+from imucalib.calibrators.array.motion.terms import Term, board_motion
 from imucalib.units import DEG
 
 _SMALL = 1e-6  # share of an effect beyond its linear part from which on it counts

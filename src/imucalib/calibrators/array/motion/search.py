@@ -28,11 +28,11 @@ from imucalib.calibrators.array.board.catalogue import (
     twins_of,
 )
 from imucalib.calibrators.array.motion.ages import add_estimated_clock, add_phases
-from imucalib.calibrators.array.motion.base import PositionBase
 from imucalib.calibrators.array.motion.laws import candidates_of
 from imucalib.calibrators.array.motion.setup import Setup, motion_at, select_searched
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
+    PositionBase,
     fit_jointly,
     fit_motion_at,
     measure_dispersion,

@@ -10,9 +10,9 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.moving import Moving
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
+from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.core.course import bends_of, slope_of
-from imucalib.estimators.array.samples import Readings, Sampled, turning_slope
+from imucalib.estimators.array.samples import Pair, Sampled, turning_slope
 
 _STRETCH = 16  # consecutive samples, so that neighbours are there for derivatives
 _BLOCK = 5.0  # s, parts of the motion that are held out together
@@ -46,9 +46,9 @@ class Setup:
     span: float
 
     @cached_property
-    def readings(self) -> Readings:
+    def readings(self) -> Pair:
         """Calibrated by the rests."""
-        return Readings(self.moving.acceleration[self.rows], self.moving.rate[self.rows])
+        return Pair(self.moving.acceleration[self.rows], self.moving.rate[self.rows])
 
     @cached_property
     def t(self) -> Array:

@@ -6,18 +6,29 @@ which is estimated along. Every basis is taken at the fitted motion.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.motion.base import PositionBase
-from imucalib.calibrators.array.motion.board_motion import BoardMotion
 from imucalib.calibrators.array.motion.setup import Setup, motion_at
-from imucalib.calibrators.array.motion.terms import Term, evaluate_lags, lag_motion, select_lagging
-from imucalib.estimators.array.gram import gradient, gram, inverse_root, project_out_motion
+from imucalib.calibrators.array.motion.terms import (
+    BoardMotion,
+    Term,
+    evaluate_lags,
+    lag_motion,
+    select_lagging,
+)
+from imucalib.estimators.array.gram import (
+    Columns,
+    Gram,
+    gradient,
+    gram,
+    inverse_root,
+    project_out_motion,
+)
 from imucalib.estimators.array.noise import (
     MotionNoise,
     Squares,
@@ -26,9 +37,77 @@ from imucalib.estimators.array.noise import (
     rescale,
 )
 from imucalib.estimators.array.sample_age import SampleAge
-from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
+from imucalib.estimators.array.samples import Pair, Sampled, fit_samples
 from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.posterior.odds import CERTAIN
+
+#: Coordinates that a drawing's stated deviation counts as.
+_STATED = 3.0
+
+
+def drawing_precision(off: Array, sd: float) -> float:
+    """1/m², of each coordinate about its drawing, where the drawing's stated sd (m) may itself be
+    wrong by a factor that all coordinates share: a multivariate t, whose weight follows from what
+    they are off (d,) m (Lange, Little, Taylor 1989, JASA 84, equation 5)."""
+    return (_STATED + off.size) / (_STATED * sd**2 + float(off @ off))
+
+
+class PositionBase:
+    """Columns of what is fitted: positions and terms, and the matrix from raw columns to the
+    coordinates that are free."""
+
+    def __init__(
+        self, setup: Setup, sampled: Sampled, motion: BoardMotion, r: Array, terms: Sequence[Term]
+    ) -> None:
+        """r : (K, 3) m; sampled, motion : fitted with it and the terms."""
+        k = setup.triads
+        turn = np.broadcast_to(sampled.turn, (k, *sampled.turn.shape))
+        blocks = [Columns(np.asarray(turn), False, False)]
+        blocks += [term.columns(motion) for term in terms]
+        self.blocks: Sequence[Columns] = blocks
+        self.setup, self.sampled = setup, sampled
+        self.raw = sum(block.size for block in blocks)
+        self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in terms)]
+        off = (r - setup.board.drawn)[1:].ravel()
+        flat = np.full(off.size, drawing_precision(off, setup.board.prior_sd))
+        self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in terms)])
+        # What positions absorb is absorbed for good.
+        held = [term.sd**-2.0 * (not term.found) for term in terms]
+        self.rests = np.concatenate([0.0 * flat, *held])
+        self.pull = self.prior * np.concatenate([off, *(term.value for term in terms)])
+
+    def free(self, found: Gram) -> Gram:
+        """The Gram matrix with the raw columns of the base replaced by its coordinates, in its
+        place: of many IMUs a copy would be large."""
+        turn = self._turn
+        n, raw = turn.shape[1], self.raw
+        own, beside = turn.T @ found.matrix[:raw, :raw] @ turn, turn.T @ found.matrix[:raw, raw:]
+        matrix = found.matrix[raw - n :, raw - n :]
+        matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = own, beside, beside.T
+        along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
+        return Gram(matrix, along, found.power)
+
+    @property
+    def _turn(self) -> Array:
+        from scipy.linalg import block_diag
+
+        return np.asarray(block_diag(*self.lives))
+
+    def along(self, raw: Array) -> Array:
+        """Products (..., raw) with the raw columns as those with the free coordinates."""
+        ends = np.cumsum([live.shape[0] for live in self.lives])[:-1]
+        parts = zip(self.lives, np.split(raw, ends, axis=-1), strict=True)
+        return np.concatenate([part @ live for live, part in parts], axis=-1)
+
+    def reading(self, step: Array, shape: tuple[int, ...]) -> Pair:
+        """What a step of the free coordinates adds to the readings; shape : (T, K, 3) of each."""
+        acceleration, rate = np.zeros(shape), np.zeros(shape)
+        ends = np.cumsum([live.shape[1] for live in self.lives])[:-1]
+        for block, live, part in zip(self.blocks, self.lives, np.split(step, ends), strict=True):
+            target = rate if block.gyro else acceleration
+            target += block.at(live @ part)
+        return Pair(acceleration, rate)
+
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
 #: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
@@ -74,12 +153,12 @@ class ArrayState:
     def found(self) -> tuple[Term, ...]:
         return tuple(term for term in self.terms if term.found)
 
-    def squares(self, off: Readings | None = None) -> tuple[Squares, Squares, Array]:
+    def squares(self, off: Pair | None = None) -> tuple[Squares, Squares, Array]:
         """Residuals of accelerometers and gyros at the inner samples as their noise is judged by,
         and the speed (inner,) rad/s; off : (T, K, 3) other residuals."""
         off, inner = off or self.sampled.off, self.setup.inner
         found = []
-        for values, kept in zip((off.acceleration, off.rate), self.sampled.kept, strict=True):
+        for values, kept in zip(off, self.sampled.kept, strict=True):
             numbers = np.mean(kept.numbers[inner], axis=0)
             length = np.sum(values[inner] ** 2, axis=2) / kept.share[inner]
             found.append(Squares(length * (numbers / 3.0), numbers))
@@ -101,7 +180,7 @@ class ArrayState:
 def fit_motion_at(setup: Setup, r: Array, noise: tuple[MotionNoise, MotionNoise]) -> Sampled:
     """The motion of samples for positions alone, each kind of sensor weighted by its size."""
     ones = np.ones((len(setup.rows), setup.triads))
-    weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
+    weights = Pair(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
     return fit_samples(setup.readings, weights, r, np.median(setup.readings.rate, axis=1))
 
 
@@ -132,7 +211,7 @@ def _same(one: MotionNoise, two: MotionNoise) -> bool:
     return one.freedom == two.freedom and bool(np.allclose(a, b, rtol=_STALE, atol=0.0))
 
 
-def _with_scale(state: ArrayState, off: Readings | None = None) -> ArrayState:
+def _with_scale(state: ArrayState, off: Pair | None = None) -> ArrayState:
     a, g, speed = state.squares(off)
     one, two = state.noise
     return replace(state, noise=(rescale(one, a, speed), rescale(two, g, speed)))
@@ -190,7 +269,7 @@ def _move(state: ArrayState, step: Array, variance: Array) -> ArrayState:
 
 
 def update_motion(
-    state: ArrayState, base: PositionBase | None = None, off: Readings | None = None
+    state: ArrayState, base: PositionBase | None = None, off: Pair | None = None
 ) -> ArrayState:
     """The motion for the positions, terms and noise as they are.
 
@@ -200,11 +279,7 @@ def update_motion(
     readings, sampled, off = subtract_terms(state, base), state.sampled, off or state.sampled.off
     tailed = any(np.isfinite(noise.freedom) for noise in state.noise)
     for more in reversed(range(_WEIGHED if tailed else 1)):
-        speed = np.linalg.norm(sampled.rate, axis=1)
-        weights = Weights(
-            state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
-            state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
-        )
+        weights = weigh(state.noise, off, sampled.rate)
         # With weights that are made anew at once, the motion need not be at its end.
         sampled = fit_samples(readings, weights, state.r, sampled, *([1] if more else []))
         off = sampled.off
@@ -212,6 +287,13 @@ def update_motion(
         state.setup, sampled, state.motion.age, courses=bool(select_lagging(state.terms))
     )
     return replace(state, sampled=sampled, motion=lag_motion(state.terms, motion))
+
+
+def weigh(noise: tuple[MotionNoise, MotionNoise], off: Pair, rate: Array) -> Pair:
+    """Weights (n, K) of readings with residuals off (n, K, 3), turning by rate (n, 3) rad/s."""
+    speed = np.linalg.norm(rate, axis=1)
+    square = (np.sum(own**2, axis=2) for own in off)
+    return Pair(*(one.weight(d, speed) for one, d in zip(noise, square, strict=True)))
 
 
 def refit_motion(state: ArrayState, rounds: int) -> ArrayState:
@@ -222,7 +304,7 @@ def refit_motion(state: ArrayState, rounds: int) -> ArrayState:
     return state
 
 
-def subtract_terms(state: ArrayState, base: PositionBase | None = None) -> Readings:
+def subtract_terms(state: ArrayState, base: PositionBase | None = None) -> Pair:
     """The readings less what the terms add to them."""
     own = None if base is None else base.blocks[1:]
     acceleration = state.setup.readings.acceleration.copy()
@@ -238,7 +320,7 @@ def subtract_terms(state: ArrayState, base: PositionBase | None = None) -> Readi
         columns = own[k] if own is not None else term.columns(state.motion)
         target = rate if columns.gyro else acceleration
         target -= term.reading(columns)
-    return Readings(acceleration, rate)
+    return Pair(acceleration, rate)
 
 
 #: Samples over which a sum of residuals is taken, and the farthest neighbours that are compared.
@@ -252,8 +334,8 @@ def _correlate(state: ArrayState, *, gyro: bool) -> Iterator[tuple[float, float]
     """Correlation of the weighted residuals of samples 1, 2, ... apart, and how many independent
     products it is the mean of; until there are few."""
     setup, sampled = state.setup, state.sampled
-    root = np.sqrt(sampled.weights.of(gyro=gyro))[..., None]
-    white = (sampled.off.of(gyro=gyro) * root)[setup.inner]
+    root = np.sqrt(sampled.weights[gyro])[..., None]
+    white = (sampled.off[gyro] * root)[setup.inner]
     follows = np.diff(setup.rows[setup.inner]) == 1
     power = float(np.mean(white**2))
     # The motion has its share of the numbers of every sample.
