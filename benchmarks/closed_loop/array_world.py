@@ -116,7 +116,7 @@ class _Log:
         beats = rng.uniform(0.3, 3.0, k) * rng.choice([-1.0, 1.0], k)
         turns = t[:, None] * beats + rng.uniform(size=k)
         self.motion = board_motion(
-            imus=BOARD.imus, rotations=BOARD.rotations, t=t, order=order, rate=w, spin=spin,
+            BOARD, t, order=order, rate=w, spin=spin,
             force=felt, jerk=jerk, age=turns - np.floor(turns) - 0.5,
         )  # fmt: skip
         self.planted = {name: _drawn(name, size, rng) for name, size in job.effects}
@@ -129,7 +129,7 @@ class _Log:
                 one += late * self.moving[:, None, None]
                 continue
             term = Term(name, effect, None, np.eye(len(theta)), theta, np.ones(len(theta)))
-            add = term.reading(term.columns(self.motion)) * self.moving[:, None, None]
+            add = term.reading(self.motion) * self.moving[:, None, None]
             if effect.channel == "angular_rate":
                 rate += add
             else:

@@ -56,8 +56,8 @@ def planted_log(name: str, seed: int, plan: LogPlan = PLAN, board: Board = BOARD
     beats = rng.uniform(0.3, 3.0, k) * rng.choice([-1.0, 1.0], k)
     turns = t[:, None] * beats + rng.uniform(size=k)
     motion = board_motion(
-        imus=board.imus, rotations=board.rotations, t=t, order=(t - t[0]) / np.ptp(t), rate=w,
-        spin=spin, force=felt, jerk=jerk, age=turns - np.floor(turns) - 0.5,
+        board, t, order=(t - t[0]) / np.ptp(t), rate=w, spin=spin,
+        force=felt, jerk=jerk, age=turns - np.floor(turns) - 0.5,
     )  # fmt: skip
     rate = np.repeat(w[:, None], k, axis=1)
     if effect:

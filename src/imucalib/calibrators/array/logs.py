@@ -12,7 +12,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibration.triads import Triad, effect_covariance, triangle
 from imucalib.calibrators.array.board.turns import BoardTurns
-from imucalib.calibrators.array.motion.effect_blocks import effect_blocks
+from imucalib.calibrators.array.findings import effect_blocks
 from imucalib.calibrators.array.motion.total import (
     GyroScale,
     Total,

@@ -21,18 +21,19 @@ from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.moving import Moving
 from imucalib.calibrators.array.board.rests import RestFit
 from imucalib.calibrators.array.findings import (
+    LinearPart,
     Residual,
     advice,
     array_errors,
     array_findings,
+    effect_blocks,
     find_unexplained,
     noise_block,
     reasons,
+    rest_blocks,
 )
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 from imucalib.calibrators.array.motion.covariance import Uneven
-from imucalib.calibrators.array.motion.effect_blocks import effect_blocks, rest_blocks
-from imucalib.calibrators.array.motion.linear_part import LinearPart
 from imucalib.calibrators.array.motion.posterior import PositionDraws
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.motion.total import GyroScale, Total, size_block
@@ -80,11 +81,13 @@ class PreparedLog:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FittedLog(PreparedLog):
-    """With its rests and its motion fitted.
+class LocatedBoard(PreparedLog):
+    """With its rests and its motion fitted, and the positions with all of their uncertainty.
 
     state : the joint fit of all informative samples; loop : None where nothing was searched
     uneven : where positions differ from part to part of the motion and no loop says so
+    drawn : chains over the joint fit, or those of the paper; total : with size and frame
+    linear : what a linear correction holds of the joint fit
     """
 
     rests: RestFit
@@ -92,16 +95,6 @@ class FittedLog(PreparedLog):
     state: ArrayState
     loop: MotionLoop | None
     uneven: Uneven | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class LocatedBoard(FittedLog):
-    """With the positions and all of their uncertainty.
-
-    drawn : chains over the joint fit, or those of the paper; total : with size and frame
-    linear : what a linear correction holds of the joint fit
-    """
-
     drawn: PositionDraws
     total: Total
     gyros: GyroScale

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
+from imucalib.calibrators.array.board.board import undrawn_board
 from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.moving import Moving
 from imucalib.calibrators.array.board.rests import RestFit
@@ -113,9 +114,8 @@ def swung(t: Array) -> BoardMotion:
     spin, jerk = (x * np.cos(x * t)[:, None] * [1.0, -2.0, 0.5] for x in (w, f))
     every = (len(t), 2, 3)
     found = board_motion(
-        imus=("imu0", "imu1"), rotations=np.tile(np.eye(3), (2, 1, 1)), t=t, order=t, rate=rate,
-        spin=spin, force=np.broadcast_to(force[:, None], every),
-        jerk=np.broadcast_to(jerk[:, None], every),
+        undrawn_board(2), t, order=t, rate=rate, spin=spin,
+        force=np.broadcast_to(force[:, None], every), jerk=np.broadcast_to(jerk[:, None], every),
     )  # fmt: skip
     beside = np.ones((len(t), 2), dtype=np.bool_)
     beside[0, 0] = beside[-1, 1] = False
@@ -145,9 +145,9 @@ def test_what_acts_on_a_late_reading_acts_on_what_was_then() -> None:
     felt = then.truth_of("acceleration").force
     due = swung(T - 0.5e-3).truth.force[:, 0]
     np.testing.assert_allclose(felt[1:-1, 0], due[1:-1], atol=1e-6)
-    less = evaluate_lags([own, other], here)
-    np.testing.assert_allclose(here.truth.turning.rate - less[1], turning, atol=1e-12)
-    np.testing.assert_allclose(here.truth.force - less[0], felt, atol=1e-12)
+    more = evaluate_lags([own, other], here)
+    np.testing.assert_allclose(here.truth.turning.rate + more.rate, turning, atol=1e-12)
+    np.testing.assert_allclose(here.truth.force + more.acceleration, felt, atol=1e-12)
     scale = columns_of(array_catalogue()["gyro_scale"], then).basis[1]
     np.testing.assert_allclose(np.einsum("tii->ti", scale)[1:-1], 0.01 * earlier[1:-1], atol=2e-7)
 

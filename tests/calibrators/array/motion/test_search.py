@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gates.bounds import at_most
+from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.catalogue import Scope, array_catalogue, find_effect
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
@@ -31,7 +32,7 @@ def test_a_planted_error_is_named(name: str) -> None:
     if STORIES[name][0] != "sensing_elements":  # they share directions with the positions
         assert np.sqrt(np.mean(positions_z(found, true) ** 2)) < 1.6
     assert found.gained is not None
-    assert found.gained.after.acceleration <= found.gained.before.acceleration * 1.05
+    assert found.gained.acceleration.after <= found.gained.acceleration.before * 1.05
 
 
 def test_a_set_is_searched_from_anew_at_the_noise_that_it_leaves() -> None:
@@ -90,7 +91,7 @@ def _motion(k: int = 3) -> BoardMotion:
     rng = np.random.default_rng(6)
     turns = np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(k)])
     return board_motion(
-        imus=tuple(f"imu{i}" for i in range(k)), rotations=turns, t=np.arange(4.0),
+        Board("", tuple(f"imu{i}" for i in range(k)), np.zeros((k, 3)), turns), np.arange(4.0),
         order=np.linspace(0.0, 1.0, 4), rate=rng.normal(size=(4, 3)),
         spin=rng.normal(size=(4, 3)), force=rng.normal(size=(4, k, 3)),
         jerk=rng.normal(size=(4, k, 3)), age=rng.uniform(-0.5, 0.5, (4, k)),

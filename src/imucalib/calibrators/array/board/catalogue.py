@@ -21,6 +21,8 @@ _AFTER_RESTS = {
     "scale_drift": 2.0,
     "warm_up": 2.0,
 }
+#: How a name begins that speaks of the rests alone.
+AT_REST = "at rest: "
 #: Effects that are a part of others, which are tried.
 _WITHIN = ("non_orthogonality",)
 

@@ -257,9 +257,8 @@ class _Rounds:
         """The motion as effects take it."""
         felt = motion.predict_force(self.instrument.r)
         return board_motion(
-            imus=self.instrument.imus,
-            rotations=self.instrument.beyond.rotations,
-            t=self.t,
+            self.instrument.beyond,
+            self.t,
             rate=motion.rate,
             spin=motion.spin,
             force=felt,

@@ -20,9 +20,14 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad, effect_covariance
-from imucalib.calibrators.array.motion.effect_blocks import AT_REST
-from imucalib.calibrators.array.motion.linear_part import slope_at_rest
-from imucalib.calibrators.array.motion.terms import BoardMotion, Term, board_motion, evaluate_lags
+from imucalib.calibrators.array.board.catalogue import AT_REST
+from imucalib.calibrators.array.motion.terms import (
+    BoardMotion,
+    Mounted,
+    Term,
+    board_motion,
+    evaluate_lags,
+)
 from imucalib.core.effect import MOTION, Response, cross_matrix
 from imucalib.core.eigen import eigen
 from imucalib.effects import known
@@ -73,13 +78,9 @@ class _Part:
     offset: Array
 
     @property
-    def gyro(self) -> bool:
-        return self.term.effect.channel == "angular_rate"
-
-    @property
     def late(self) -> bool:
         """Whether it adds dω/dt to a gyro's rate, and nothing else."""
-        return self.gyro and set(self.term.effect.needs) <= {"spin", _AGE}
+        return self.term.gyro and set(self.term.effect.needs) <= {"spin", _AGE}
 
     @property
     def lags(self) -> bool:
@@ -88,9 +89,7 @@ class _Part:
 
     def evaluate(self, motion: BoardMotion) -> Array:
         """(T, K, 3) in board axes."""
-        truth = motion.truth.turning.rate if self.gyro else motion.truth.force
-        whole = self.term.reading(self.term.columns(motion))
-        return whole - along(self.gain, motion.context.in_common(truth)) - self.offset
+        return self.term.beyond(motion, self.gain, self.offset)
 
 
 @dataclass(frozen=True)
@@ -124,16 +123,16 @@ class NonlinearTerms:
         found = Pair(np.zeros((*motion.shape, 3)), np.zeros((*motion.shape, 3)))
         for part in self.parts:
             if not part.late:
-                found[part.gyro][...] += part.evaluate(motion)
+                found[part.term.gyro][...] += part.evaluate(motion)
         return self._correct(found)
 
     def evaluate_lags(self, motion: BoardMotion) -> Pair:
         """The same of lags beyond their first order, where the motion has its courses."""
         lagging = self.lagging
-        less = evaluate_lags([part.term for part in lagging], motion)
+        more = evaluate_lags([part.term for part in lagging], motion)
         for part in lagging:
-            less[part.gyro][...] += part.evaluate(motion)
-        return self._correct(Pair(-less[0], -less[1]))
+            more[part.term.gyro][...] -= part.evaluate(motion)
+        return self._correct(more)
 
     def _correct(self, found: Pair) -> Pair:
         return Pair(*map(along, self.back, found))
@@ -145,65 +144,52 @@ class NonlinearTerms:
         if not parts:
             return None
         out = np.zeros((len(t), len(self.imus), 3, 3))
-        for axis in range(3):
-            motion = board_motion(
-                imus=self.imus,
-                rotations=self.rotations,
-                t=t,
-                spin=np.broadcast_to(np.eye(3)[axis], (len(t), 3)),
-                age=age,
-            )
+        for axis, one in enumerate(np.eye(3)):
+            motion = board_motion(self, t, spin=np.broadcast_to(one, (len(t), 3)), age=age)
             for part in parts:
-                out[..., axis] += part.term.reading(part.term.columns(motion))
+                out[..., axis] += part.term.reading(motion)
         return np.asarray(self.back[1] @ out)
 
 
 def read_nonlinear(calibration: Calibration) -> NonlinearTerms:
     """From the effects that an array's calibration lists."""
-    imus = tuple(t.name for t in calibration.triads)
-    rotations = np.array([t.rotation for t in calibration.triads])
-    parts, left_out, span = [], [], 0.0
-    gains = np.tile(np.eye(3), (2, len(imus), 1, 1))
+    triads, parts, left_out, span = calibration.triads, [], [], 0.0
+    gains = np.tile(np.eye(3), (2, len(triads), 1, 1))
+    imus, rotations = tuple(t.name for t in triads), np.array([t.rotation for t in triads])
+    bare = NonlinearTerms(imus, rotations, (), Pair(*gains), 0.0, ())
     for block in calibration.facts.get("effects", ()):
         name = str(block["effect"])
         term = _term_of(block, imus)
         if term is None:
             left_out.append(name)
             continue
-        gain, offset = slope_at_rest(term, imus, rotations)
+        gain, offset = term.slope_at_rest(bare)
         if name.startswith(AT_REST):  # the rests' gains stand without it
             gain = np.zeros_like(gain)
         part = _Part(term, gain, offset)
-        gains[int(part.gyro)] += gain
-        if not _is_linear(part, imus, rotations):
+        gains[int(term.gyro)] += gain
+        if not _is_linear(part, bare):
             parts.append(part)
         if term.aged:
             span = 1e-3 * abs(float(term.value[0]))
-    return NonlinearTerms(
-        imus=imus,
-        rotations=rotations,
-        parts=tuple(parts),
-        back=Pair(*np.linalg.inv(gains)),
-        span=span,
-        left_out=tuple(left_out),
-    )
+    back = Pair(*np.linalg.inv(gains))
+    return replace(bare, parts=tuple(parts), back=back, span=span, left_out=tuple(left_out))
 
 
-def _is_linear(part: _Part, imus: tuple[str, ...], rotations: Array) -> bool:
+def _is_linear(part: _Part, board: Mounted) -> bool:
     """Whether the file's gain and offset hold all of it: tried at some motions."""
-    n, rng = 16, np.random.default_rng(0)
-    force = 10.0 * rng.normal(size=(n, len(imus), 3))
+    n, k, rng = 16, len(board.imus), np.random.default_rng(0)
+    force = 10.0 * rng.normal(size=(n, k, 3))
     motion = board_motion(
-        imus=imus,
-        rotations=rotations,
-        t=np.arange(float(n)),
+        board,
+        np.arange(float(n)),
         rate=10.0 * rng.normal(size=(n, 3)),
         spin=500.0 * rng.normal(size=(n, 3)),
         force=force,
         jerk=100.0 * force,
-        age=rng.uniform(-0.5, 0.5, (n, len(imus))),
+        age=rng.uniform(-0.5, 0.5, (n, k)),
     )
-    whole = part.term.reading(part.term.columns(motion))
+    whole = part.term.reading(motion)
     return bool(np.abs(part.evaluate(motion)).max() <= _SMALL * np.abs(whole).max())
 
 
@@ -254,7 +240,7 @@ class Doubt:
         by = np.matmul(force, own)
         out += np.matmul(by @ self.triads, by.swapaxes(2, 3)).sum(axis=1)
         for term, root in self.effects:
-            gain = rate if term.effect.channel == "angular_rate" else force
+            gain = rate if term.gyro else force
             columns = term.columns(seen)
             by = np.matmul(gain, columns.basis.swapaxes(0, 1))  # (T, K, 9, m)
             by = by.sum(axis=1, keepdims=True) if columns.shared else by

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.motion.setup import Setup, describe_motion, select_with_neighbours
+from imucalib.calibrators.array.motion.setup import Setup, select_with_neighbours
 from imucalib.calibrators.array.motion.state import ArrayState, fit_motion_at, subtract_terms
-from imucalib.calibrators.array.motion.terms import Term
+from imucalib.calibrators.array.motion.terms import Term, board_motion
 from imucalib.core.effect import Context, Response, Truth
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
 from imucalib.estimators.array.samples import Sampled, fit_samples
@@ -140,7 +140,10 @@ def _fit_at(state: ArrayState, rows: Index) -> Sampled:
     setup, plain = replace(state.setup, rows=rows), tuple(t for t in state.terms if not t.aged)
     sampled = fit_motion_at(setup, state.r, state.noise)
     for _ in range(2 if plain else 0):
-        motion = describe_motion(setup, sampled, np.zeros_like(sampled.force))
+        one, order = sampled, setup.order
+        motion = board_motion(
+            setup.board, setup.t, order=order, rate=one.rate, spin=one.spin, force=one.force
+        )
         rest = subtract_terms(replace(state, setup=setup, terms=plain, motion=motion))
         sampled = fit_samples(rest, sampled.weights, state.r, sampled.rate)
     return sampled

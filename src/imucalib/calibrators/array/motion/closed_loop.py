@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.board.catalogue import EVERYTHING, Scope
+from imucalib.calibrators.array.board.catalogue import AT_REST, EVERYTHING, Scope
+from imucalib.calibrators.array.board.rests import ATTITUDES, RestFit, is_contradicted
 from imucalib.calibrators.array.motion.ages import (
     add_clock,
     add_estimated_clock,
@@ -42,7 +44,7 @@ from imucalib.calibrators.array.motion.state import (
     measure_dispersion,
     refit_motion,
 )
-from imucalib.calibrators.array.motion.terms import Term
+from imucalib.calibrators.array.motion.terms import Term, board_motion
 from imucalib.core.effect import Channel
 from imucalib.posterior.closed_loop.found import (
     CheckedError,
@@ -55,8 +57,9 @@ from imucalib.posterior.closed_loop.found import (
 from imucalib.posterior.closed_loop.words import scores_of
 from imucalib.posterior.held_out import Difference, difference
 from imucalib.posterior.odds import CERTAIN
+from imucalib.rests.segments import Segments
 from imucalib.significant_digits import plus_minus
-from imucalib.units import DEG
+from imucalib.units import DEG, MG
 
 #: Standard deviation of normal errors over their median absolute deviation.
 NORMAL_MAD = 1.4826
@@ -66,47 +69,26 @@ _NO_ERROR = 1e-12  # m/s² or rad/s
 CHANNELS: tuple[Channel, Channel] = ("acceleration", "angular_rate")
 
 
-@dataclass(frozen=True)
-class Residuals:
-    """Median absolute deviations: acceleration (m/s²) and rate (deg/s)."""
-
-    acceleration: float
-    rate: float
-
-
-@dataclass(frozen=True)
-class Gained:
-    """acceleration (m/s²), rate (rad/s) : median absolute deviations before and after"""
+class Gained(NamedTuple):
+    """Median absolute deviations before and after: acceleration (m/s²), rate (rad/s)."""
 
     acceleration: Difference
     rate: Difference
 
     @property
-    def before(self) -> Residuals:
-        return Residuals(self.acceleration.before, self.rate.before / DEG)
-
-    @property
-    def after(self) -> Residuals:
-        return Residuals(self.acceleration.after, self.rate.after / DEG)
-
-    @property
     def checks(self) -> tuple[CheckedError, ...]:
         """Errors before and after."""
-        before, after = self.before, self.after
+        force, rate = self
         return (
-            CheckedError("acc residual", "m/s²", before.acceleration, after.acceleration, 3),
-            CheckedError("gyro residual", "deg/s", before.rate, after.rate),
+            CheckedError("acc residual", "m/s²", force.before, force.after, 3),
+            CheckedError("gyro residual", "deg/s", rate.before / DEG, rate.after / DEG),
         )
 
     def select_deciding(self, channels: Collection[Channel]) -> Difference:
         """The error that has changed by the most, of the sensors that effects act on: held-out
         readings of k sensors, each of its own noise, are as much likelier as the sum of the
         logarithms of what their errors fall by; of two the larger one has the sign of it."""
-        own = [
-            d
-            for c, d in zip(CHANNELS, (self.acceleration, self.rate), strict=True)
-            if c in channels
-        ]
+        own = [d for c, d in zip(CHANNELS, self, strict=True) if c in channels]
         return max(own, key=lambda d: abs(np.log(max(d.before, 1e-300) / max(d.after, 1e-300))))
 
 
@@ -126,13 +108,8 @@ def cross_fitted(
         sizes.append([_sizes(_predict(end, test), silent) for end in searched(train)])
         blocks.append(test.block[silent])
     before, after = (np.concatenate(parts, axis=1) for parts in zip(*sizes, strict=True))
-    block = np.concatenate(blocks)
-    return Gained(
-        *(
-            difference_of_medians(one, two, block, _HALVES)
-            for one, two in zip(before, after, strict=True)
-        )
-    )
+    block, every = np.concatenate(blocks), zip(before, after, strict=True)
+    return Gained(*(difference_of_medians(*kind, block, _HALVES) for kind in every))
 
 
 def _predict(state: ArrayState, setup: Setup) -> ArrayState:
@@ -174,6 +151,8 @@ def _log_ratio(before: Array, after: Array) -> float:
     return float(np.log(one / two))
 
 
+#: What is named beside a cause that the rests contradict.
+OTHER = "what shows in motion only"
 _REFUSED = "it makes the held-out error larger"
 
 
@@ -204,11 +183,54 @@ class MotionLoop(Loop[ArrayState]):
         return in_motion and self.difference is not None and not self.difference.proved
 
     @property
-    def held_out(self) -> tuple[Residuals, Residuals] | None:
+    def held_out(self) -> Gained | None:
         """Errors on motion that took no part, of the base model and of what is corrected."""
-        if self.gained is None:
-            return None
-        return self.gained.before, self.gained.before if self.refuted else self.gained.after
+        if self.gained is None or not self.refuted:
+            return self.gained
+        return Gained(*(replace(d, after=d.before) for d in self.gained))
+
+    def join_rests(self, rests: FitLoop | None) -> MotionLoop:
+        """With the records, steps and doubts of the rests before its own."""
+        if rests is None:
+            return self
+        return replace(
+            self,
+            rests=rests,
+            records=rests.records,
+            steps=(*_rest_steps(rests), *self.steps),
+            rejected=(*((AT_REST + name, why) for name, why in rests.rejected), *self.rejected),
+            unexplained=(
+                *self.unexplained,
+                *(replace(u, name=AT_REST + u.name) for u in rests.unexplained),
+            ),
+        )
+
+    def hold_against_rests(self, segments: Segments, rests: RestFit) -> MotionLoop:
+        """The loop with doubts where gravity at the rests contradicts what a force does to gyros:
+        it is corrected still, is not certain, and what it may be instead is open."""
+        if segments.n < ATTITUDES:
+            return self
+        t, turns = segments.middle, rests.rotations
+        read, rate = (
+            np.einsum("kij,nkj->nki", turns, values) for values in (segments.mean, segments.rate)
+        )
+        motion = board_motion(rests, t, force=rests.correct(read, t))
+        wrong = {
+            term.name
+            for term in self.final.found
+            if term.gyro
+            and "spin" not in term.effect.needs
+            and is_contradicted(rate, term.reading(motion))
+        }
+        steps, more = list[Step](), list[Unexplained]()
+        for step in self.steps:
+            if step.effect not in wrong:
+                steps.append(step)
+                continue
+            steps.append(replace(step, aliases=(*step.aliases, OTHER), certain=False))
+            name = f"{step.effect} shows in motion and not at rest"
+            more.append(Unexplained(name, "force", "probe", step.probability, step.evidence_nats))
+        return replace(self, steps=tuple(steps), unexplained=(*self.unexplained, *more))
 
 
 def close_array_loop(
@@ -392,3 +414,27 @@ def _find_unnamed(found: MotionSearch, final: ArrayState) -> dict[Unexplained, A
         one = found.said.leave_unexplained(place)
         shifts[one] = 0.0 * moved if name in own else moved
     return shifts
+
+
+def _rest_steps(loop: FitLoop) -> Iterator[Step]:
+    """The steps at rest, with their sizes in words."""
+    fit = loop.final
+    slices = fit.model.slices(fit.observations.context)
+    for step in loop.steps:
+        part = slices[step.effect]
+        rms = float(np.sqrt(np.mean(fit.theta[part] ** 2)))
+        unit, count = fit.parameters[part.start].unit, part.stop - part.start
+        yield replace(
+            step,
+            effect=AT_REST + step.effect,
+            size=f"{rms:.2g} {unit} rms of {count}",
+            formula="",  # each chip has numbers of its own
+            checks=tuple(
+                CheckedError("rests, leave one out", "m/s²", MG * c.before, MG * c.after, 5)
+                for c in step.checks
+            ),
+            in_its_place=tuple(
+                replace(one, effect=AT_REST + one.effect) if one.effect == step.effect else one
+                for one in step.in_its_place
+            ),
+        )

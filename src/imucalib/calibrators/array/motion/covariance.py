@@ -160,9 +160,9 @@ def sandwich(state: ArrayState) -> tuple[Array, Array, Array]:
     few samples do not make it singular.
     """
     base, inner = state.base, state.setup.inner
-    known = base.free(gram(reweigh(state.sampled, *information(state)), base.blocks, inner))
+    known = base.multiply(reweigh(state.sampled, *information(state)), inner)
     prior = np.diag(base.prior)
-    own = base.along(scores(state.sampled, base.blocks, inner))
+    own = scores(state.sampled, base.blocks, inner) @ base.turn
     share = len(inner) / (len(inner) + len(base.prior))
     scatter = share * (own.T @ own) + (1.0 - share) * known.matrix + prior
     bread = np.asarray(np.linalg.inv(known.matrix + prior))
@@ -175,7 +175,7 @@ def sd_of_few(state: ArrayState, count: int) -> Array:
     is what was fitted."""
     base, inner = state.base, state.setup.inner
     rows = inner[np.linspace(0, len(inner) - 1, count).astype(np.intp)]
-    known = base.free(gram(state.sampled, base.blocks, rows)).matrix + np.diag(base.prior)
+    known = base.multiply(state.sampled, rows).matrix + np.diag(base.prior)
     variance = np.sum(inverse_root(known)[: state.positions] ** 2, axis=1)
     return np.asarray(np.sqrt(np.median(variance.reshape(-1, 3), axis=0)))
 

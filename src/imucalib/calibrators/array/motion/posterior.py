@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.board.board import Board
+from imucalib.calibrators.array.board.moving import Moving, spread_over
 from imucalib.calibrators.array.motion.state import ArrayState, refit_motion
 from imucalib.core.eigen import eigen
-from imucalib.errors import Undetermined
+from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.array.noise import MotionNoise
+from imucalib.estimators.array.published import ArrayData, DrawnPrior, run_pmmh
 from imucalib.estimators.array.samples import SPIN, inverse_roots
-from imucalib.estimators.markov.convergence import Convergence
+from imucalib.estimators.markov.convergence import Convergence, convergence
 from imucalib.estimators.markov.crank_nicolson import Stop, sample
 
 COLLAPSED = 0.5  # share of the drawing's extent below which a geometry is no longer believed
@@ -160,10 +162,10 @@ class PositionDensity:
         self._follow = np.linalg.solve(spread[:d, :d], spread[:d]).T
         state = refit_motion(state, _SETTLED)
         base, inner = state.base, state.setup.inner
-        self._lives, self._prior, self._r = base.lives, base.prior, state.r
+        self._turn, self._prior, self._r = base.turn, base.prior, state.r
         self._start = base.pull / base.prior
         some = max(_READINGS // state.setup.triads, 1)
-        raw = self._raw(np.eye(d) @ self._follow.T)
+        raw = self._turn @ self._follow
         self._parts = [
             _part_of(state, inner[a : a + some], raw) for a in range(0, len(inner), some)
         ]
@@ -175,18 +177,12 @@ class PositionDensity:
 
     def _of(self, step: Array) -> Array:
         whole = step @ self._follow.T
-        raw = self._raw(whole)
+        raw = self._turn @ whole.T
         r = self._r[..., None] + raw[: self._r.size].reshape(*self._r.shape, -1)
         value = -0.5 * np.sum(self._prior * (self._start + whole) ** 2, axis=1)
         for part in self._parts:
             value += part.log(r, step, raw[self._r.size :])
         return np.asarray(value)
-
-    def _raw(self, whole: Array) -> Array:
-        """(R, B) of the columns themselves, for steps (B, q) of the free coordinates."""
-        ends = np.cumsum([live.shape[1] for live in self._lives])[:-1]
-        parts = zip(self._lives, np.split(whole, ends, axis=1), strict=True)
-        return np.concatenate([live @ part.T for live, part in parts])
 
 
 #: Of each triad the columns (3 n, m) of its terms, and which of all they are.
@@ -299,3 +295,73 @@ def _columns(state: ArrayState, rows: Index, *, gyro: bool) -> Iterator[tuple[Ar
             yield np.concatenate(own, axis=1), np.concatenate(which)
         else:
             yield np.empty((3 * len(rows), 0)), np.empty(0, np.intp)
+
+
+SAMPLES = 2000  # moving samples, where nobody says how many
+#: The paper's rule: a data sheet's non-linearity, as a share of the accelerometers' range.
+NON_LINEARITY = 0.005
+_KEPT = 2000  # draws of a chain that are kept
+
+
+def draw_as_published(
+    moving: Moving,
+    board: Board,
+    rng: np.random.Generator,
+    *,
+    samples: int | None,
+    iterations: int,
+    stop: Stop,
+) -> PositionDraws:
+    """Positions by paper 001's own procedure: its prior, its noise and its chain on plain samples.
+
+    samples : at most, or None for `SAMPLES`; iterations : of Algorithm 1; stop : what its chains
+    must reach
+    Raises Undetermined where the board file lacks what it needs, or the positions collapse or stay
+    open, NotConverged where its chains disagree.
+    """
+    rows = spread_over(moving.good, min(samples or SAMPLES, len(moving.good)))
+    data = samples_of(moving, rows, board)
+    prior = DrawnPrior(board.drawn, board.prior_sd)
+    found = run_pmmh(data, prior, rng, iterations=iterations)
+    checked = convergence(found.draws)
+    if not checked.is_reached(stop.rhat, stop.ess):
+        raise NotConverged(
+            f"the chains of Algorithm 1 do not agree after {iterations} iterations: "
+            f"{checked.sentence}",
+            remedy="more --iterations, or leave --as-published out",
+        )
+    drawn = found.draws[:, :: max(1, iterations // _KEPT)]
+    notes = (
+        f"Algorithm 1: N = {found.monte_carlo}, variance of the log likelihood "
+        f"{found.variance:.2g}, burn-in {found.burn_in}",
+    )
+    positions = PositionDraws(drawn, found.accepted, checked, "pmmh", notes=notes)
+    refuse_collapse(positions.mean, board.drawn)
+    refuse_open(positions.mean, positions.covariance, board)
+    size, sd = size_over(board.drawn, positions.mean, positions.covariance)
+    pull = 3.0 * data.samples * (sd / size) ** 2
+    note = (
+        f"the flat prior on the angular acceleration shrinks the array by about {100 * pull:.2g} % "
+        f"of its size, {pull * size / sd:.1f} of its stated sd"
+    )
+    return replace(positions, notes=(*notes, note))
+
+
+def samples_of(moving: Moving, rows: Index, board: Board) -> ArrayData:
+    """Rows of the moving part with the paper's noise: accelerometers by their non-linearity, gyros
+    by the scatter of each sample over the triads (equation (30b)).
+
+    Raises Undetermined where the board file does not state the accelerometers' range.
+    """
+    if not np.isfinite(board.accelerometer_range):
+        raise Undetermined(
+            "the paper's noise is a share of the accelerometers' range",
+            remedy="state accelerometer_range (g) in the board file",
+        )
+    gyros, rate = moving.gyros, moving.levelled.rate[rows]
+    off = rate - rate.mean(axis=1, keepdims=True)
+    each = np.einsum("nki,nkj->nij", off, off) / (gyros.triads - 1)
+    # What three scattered axes of few gyros show may have no rank.
+    doubt = each + 1e-3 * np.trace(gyros.covariance) / 3.0 * np.eye(3)
+    sigma = np.full(board.count, NON_LINEARITY * board.accelerometer_range)
+    return ArrayData(moving.acceleration[rows], sigma, gyros.mean[rows], np.linalg.inv(doubt))

@@ -46,7 +46,7 @@ from imucalib.calibrators.array.motion.terms import (
 )
 from imucalib.core.effect import Effect, Response
 from imucalib.errors import Undetermined
-from imucalib.estimators.array.gram import Columns, gram, inverse_root, marginalize
+from imucalib.estimators.array.gram import inverse_root, marginalize
 from imucalib.estimators.array.noise import MotionNoise, log_density
 from imucalib.estimators.array.samples import reweigh
 from imucalib.posterior.closed_loop.found import Score
@@ -169,12 +169,11 @@ def products(
     odds = log_odds(tuple(every.components))
     if among is not None:
         odds = np.array([among[one.name] for one in every.components])
-    base = PositionBase(setup, state.sampled, motion, state.r, own)
     kappa = [measure_dispersion(state, gyro=gyro) for gyro in (False, True)]
     a, g = (n.information / k for n, k in zip(state.noise, kappa, strict=True))
     sampled = reweigh(state.sampled.take(rows), a, g)
-    blocks = [Columns(b.basis[:, rows], b.gyro, b.shared) for b in base.blocks]
-    found = base.free(gram(sampled, [*blocks, *every.blocks], np.arange(len(rows))))
+    base = PositionBase(replace(state, sampled=sampled, motion=motion.take(rows)), own)
+    found = base.multiply(sampled, np.arange(len(rows)), every.blocks)
     b = len(base.prior)
     theta = np.concatenate(
         [base.pull / base.prior, _collect_values(state, every.choices, every.width)]
@@ -419,7 +418,7 @@ def own_gram(state: ArrayState, effect: Response, only: int | None = None) -> Ar
     """(p, p) Gram matrix, in units of the noise, of an effect's columns in typical sizes, with
     motion, positions and terms taken out."""
     columns, base = typical_columns(effect, state.motion, only), state.base
-    found = base.free(gram(state.sampled, [*base.blocks, columns], state.setup.inner))
+    found = base.multiply(state.sampled, state.setup.inner, [columns])
     return marginalize(found.matrix, base.rests)
 
 

@@ -156,23 +156,6 @@ def stretches(rows: Index, samples: int) -> Index:
     return rows[np.unique(starts[:, None] + np.arange(size))]
 
 
-def describe_motion(
-    setup: Setup, sampled: Sampled, jerk: Array, age: Array | None = None
-) -> BoardMotion:
-    """A fitted motion as effects have it; jerk : (T, K, 3) m/s³ of the forces."""
-    return board_motion(
-        imus=setup.imus,
-        rotations=setup.board.rotations,
-        t=setup.t,
-        order=setup.order,
-        rate=sampled.rate,
-        spin=sampled.spin,
-        force=sampled.force,
-        jerk=jerk,
-        age=age,
-    )
-
-
 def motion_at(
     setup: Setup, sampled: Sampled, age: Array | None, *, courses: bool = False
 ) -> BoardMotion:
@@ -189,5 +172,14 @@ def motion_at(
     common = slope_of(sampled.origin + sampled.turn @ amid, setup.t, sides)
     turning = turning_slope(sampled.rate, sampled.spin, bend) * np.any(sides, axis=1)[:, None, None]
     jerk = common[:, None] + (sampled.r - amid) @ turning.transpose(0, 2, 1)
-    found = describe_motion(setup, sampled, jerk, age)
+    found = board_motion(
+        setup.board,
+        setup.t,
+        order=setup.order,
+        rate=sampled.rate,
+        spin=sampled.spin,
+        force=sampled.force,
+        jerk=jerk,
+        age=age,
+    )
     return found.set_courses(sides) if courses else found

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.motion.setup import Setup, motion_at
 from imucalib.calibrators.array.motion.terms import (
     BoardMotion,
@@ -53,60 +53,47 @@ def drawing_precision(off: Array, sd: float) -> float:
 
 
 class PositionBase:
-    """Columns of what is fitted: positions and terms, and the matrix from raw columns to the
-    coordinates that are free."""
+    """What a joint fit has as unknowns at a fitted motion.
 
-    def __init__(
-        self, setup: Setup, sampled: Sampled, motion: BoardMotion, r: Array, terms: Sequence[Term]
-    ) -> None:
-        """r : (K, 3) m; sampled, motion : fitted with it and the terms."""
-        k = setup.triads
-        turn = np.broadcast_to(sampled.turn, (k, *sampled.turn.shape))
-        blocks = [Columns(np.asarray(turn), False, False)]
-        blocks += [term.columns(motion) for term in terms]
-        self.blocks: Sequence[Columns] = blocks
-        self.setup, self.sampled = setup, sampled
-        self.raw = sum(block.size for block in blocks)
-        self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in terms)]
-        off = (r - setup.board.drawn)[1:].ravel()
-        flat = np.full(off.size, drawing_precision(off, setup.board.prior_sd))
+    blocks : columns of the positions and of each term; turn : (R, q) these R raw columns by the q
+    coordinates that are free; prior : (q,) inverse variances, rests : of them those that no data
+    lift, since what positions absorb is absorbed for good; pull : (q,) prior times value
+    """
+
+    def __init__(self, state: ArrayState, terms: Sequence[Term]) -> None:
+        """terms : those of the state that are unknowns, beside its positions."""
+        from scipy.linalg import block_diag
+
+        board, turn = state.setup.board, state.sampled.turn
+        each = np.asarray(np.broadcast_to(turn, (board.count, *turn.shape)))
+        places = Columns(each, gyro=False, shared=False)
+        self.blocks = [places, *(term.columns(state.motion) for term in terms)]
+        self.turn: Array = block_diag(np.eye(3 * board.count)[:, 3:], *(t.live for t in terms))
+        off = (state.r - board.drawn)[1:].ravel()
+        flat = np.full(off.size, drawing_precision(off, board.prior_sd))
         self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in terms)])
-        # What positions absorb is absorbed for good.
         held = [term.sd**-2.0 * (not term.found) for term in terms]
         self.rests = np.concatenate([0.0 * flat, *held])
         self.pull = self.prior * np.concatenate([off, *(term.value for term in terms)])
 
-    def free(self, found: Gram) -> Gram:
-        """The Gram matrix with the raw columns of the base replaced by its coordinates, in its
-        place: of many IMUs a copy would be large."""
-        turn = self._turn
-        n, raw = turn.shape[1], self.raw
+    def multiply(self, sampled: Sampled, rows: Index, more: Sequence[Columns] = ()) -> Gram:
+        """Products of the free coordinates, and of more columns after them, over some samples; made
+        in place of those of the raw columns: of many IMUs a copy would be large."""
+        found, turn = gram(sampled, [*self.blocks, *more], rows), self.turn
+        raw, n = turn.shape
         own, beside = turn.T @ found.matrix[:raw, :raw] @ turn, turn.T @ found.matrix[:raw, raw:]
         matrix = found.matrix[raw - n :, raw - n :]
         matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = own, beside, beside.T
         along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
         return Gram(matrix, along, found.power)
 
-    @property
-    def _turn(self) -> Array:
-        from scipy.linalg import block_diag
-
-        return np.asarray(block_diag(*self.lives))
-
-    def along(self, raw: Array) -> Array:
-        """Products (..., raw) with the raw columns as those with the free coordinates."""
-        ends = np.cumsum([live.shape[0] for live in self.lives])[:-1]
-        parts = zip(self.lives, np.split(raw, ends, axis=-1), strict=True)
-        return np.concatenate([part @ live for live, part in parts], axis=-1)
-
     def reading(self, step: Array, shape: tuple[int, ...]) -> Pair:
         """What a step of the free coordinates adds to the readings; shape : (T, K, 3) of each."""
-        acceleration, rate = np.zeros(shape), np.zeros(shape)
-        ends = np.cumsum([live.shape[1] for live in self.lives])[:-1]
-        for block, live, part in zip(self.blocks, self.lives, np.split(step, ends), strict=True):
-            target = rate if block.gyro else acceleration
-            target += block.at(live @ part)
-        return Pair(acceleration, rate)
+        added = Pair(np.zeros(shape), np.zeros(shape))
+        ends = np.cumsum([block.size for block in self.blocks])[:-1]
+        for block, part in zip(self.blocks, np.split(self.turn @ step, ends), strict=True):
+            added[block.gyro][...] += block.at(part)
+        return added
 
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
@@ -147,7 +134,7 @@ class ArrayState:
 
     @cached_property
     def base(self) -> PositionBase:
-        return PositionBase(self.setup, self.sampled, self.motion, self.r, self.terms)
+        return PositionBase(self, self.terms)
 
     @property
     def found(self) -> tuple[Term, ...]:
@@ -200,8 +187,8 @@ def fit_jointly(state: ArrayState, *, shaped: bool = True) -> ArrayState:
                 break
             state = _newton(state, _ROUGH)
     base = state.base
-    inner = base.free(gram(state.sampled, base.blocks, state.setup.inner))
-    root = inverse_root(inner.matrix + np.diag(base.prior))
+    known = base.multiply(state.sampled, state.setup.inner).matrix
+    root = inverse_root(known + np.diag(base.prior))
     return replace(state, covariance=root @ root.T)
 
 
@@ -238,8 +225,8 @@ def _newton(state: ArrayState, close: float) -> ArrayState:
         sigma = np.array([noise.sigma for noise in state.noise])
         if k in _AGAIN or np.any(np.abs(made / sigma - 1.0) > _STALE):
             made = sigma
-            matrix = base.free(gram(state.sampled, base.blocks, state.setup.inner)).matrix
-        along = base.along(gradient(state.sampled, base.blocks, state.setup.inner))
+            matrix = base.multiply(state.sampled, state.setup.inner).matrix
+        along = gradient(state.sampled, base.blocks, state.setup.inner) @ base.turn
         inner = matrix + np.diag(base.prior)
         # Weights that follow residuals answer less than they say, so a step goes farther.
         step = np.linalg.solve(share * matrix + np.diag(base.prior), along - base.pull)
@@ -306,21 +293,16 @@ def refit_motion(state: ArrayState, rounds: int) -> ArrayState:
 
 def subtract_terms(state: ArrayState, base: PositionBase | None = None) -> Pair:
     """The readings less what the terms add to them."""
-    own = None if base is None else base.blocks[1:]
-    acceleration = state.setup.readings.acceleration.copy()
-    rate = state.setup.readings.rate.copy()
     late = select_lagging(state.terms) if state.motion.courses is not None else ()
-    if late:
-        force, turned = evaluate_lags(late, state.motion)
-        acceleration += force
-        rate += turned
+    readings = state.setup.readings
+    late_by = evaluate_lags(late, state.motion) if late else Pair(*map(np.zeros_like, readings))
+    left = readings.less(late_by)
     for k, term in enumerate(state.terms):
         if late and term.effect.lagged:
             continue
-        columns = own[k] if own is not None else term.columns(state.motion)
-        target = rate if columns.gyro else acceleration
-        target -= term.reading(columns)
-    return Pair(acceleration, rate)
+        columns = term.columns(state.motion) if base is None else base.blocks[1 + k]
+        left[columns.gyro][...] -= columns.at(term.theta)
+    return left
 
 
 #: Samples over which a sum of residuals is taken, and the farthest neighbours that are compared.

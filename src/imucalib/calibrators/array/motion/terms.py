@@ -1,9 +1,14 @@
-"""What an array's model holds beyond the positions: errors of the rests, and accepted effects."""
+"""A board's motion as effects take it, and the terms of a model that act on it.
+
+Every triad has its truth in its own axes. Terms are what a model holds beyond the positions: errors
+of the rests, and accepted effects.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -13,6 +18,7 @@ from imucalib.core.course import Course, course_of
 from imucalib.core.effect import Basis, Channel, Context, Motion, Parameter, Response, Truth
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.gram import Columns
+from imucalib.estimators.array.samples import Pair
 
 
 @dataclass(frozen=True)
@@ -84,11 +90,19 @@ class BoardMotion:
         return self.context.covariates.get("sample_age")
 
 
+class Mounted(Protocol):
+    """IMUs with the rotations (K, 3, 3) of their packages' axes to the board's."""
+
+    @property
+    def imus(self) -> tuple[str, ...]: ...
+    @property
+    def rotations(self) -> Array: ...
+
+
 def board_motion(
-    *,
-    imus: tuple[str, ...],
-    rotations: Array,
+    board: Mounted,
     t: Array,
+    *,
     order: Array | None = None,
     rate: Array | None = None,
     spin: Array | None = None,
@@ -98,20 +112,20 @@ def board_motion(
 ) -> BoardMotion:
     """From the board's axes; what is not given is zero.
 
-    rotations : (K, 3, 3), package axes to board axes; t : (T,) s; order : (T,) 0..1 over the
-    motion, by default in its middle; rate, spin : (T, 3) rad/s, rad/s²; force, jerk : (T, K, 3)
-    m/s², m/s³; age : (T, K) or None
+    board : whose IMUs see it; t : (T,) s; order : (T,) 0..1 over the motion, by default in its
+    middle; rate, spin : (T, 3) rad/s, rad/s²; force, jerk : (T, K, 3) m/s², m/s³; age : (T, K) or
+    None
     """
 
     def turn_back(vector: Array | None) -> Array:
         if vector is None:
-            return np.zeros((len(t), len(imus), 3))
+            return np.zeros((len(t), len(board.imus), 3))
         each = vector if vector.ndim == 3 else vector[:, None]
-        return np.asarray((each[:, :, None] @ rotations)[:, :, 0])
+        return np.asarray((each[:, :, None] @ board.rotations)[:, :, 0])
 
     truth = Truth(turn_back(force), Motion(turn_back(rate), turn_back(spin), turn_back(jerk)))
     known = {"order": np.full(len(t), 0.5) if order is None else order, "time": t}
-    context = Context(len(t), known, imus, attitude=rotations, moving=True)
+    context = Context(len(t), known, board.imus, attitude=board.rotations, moving=True)
     return BoardMotion(truth, context).set_ages(age)
 
 
@@ -153,6 +167,11 @@ class Term:
         """Whether it says what the chips' own clocks do."""
         return "sample_age" in self.effect.needs
 
+    @property
+    def gyro(self) -> bool:
+        """Whether it acts on gyros."""
+        return self.effect.channel == "angular_rate"
+
     def parameters(self, imus: Sequence[str]) -> tuple[Parameter, ...]:
         if self.effect.shared:
             return self.effect.each
@@ -161,9 +180,25 @@ class Term:
     def columns(self, motion: BoardMotion) -> Columns:
         return columns_of(self.effect, motion, self.only)
 
-    def reading(self, columns: Columns) -> Array:
+    def reading(self, motion: BoardMotion) -> Array:
         """(T, K, 3) what it adds to the readings of its sensors."""
-        return columns.at(self.theta)
+        return self.columns(motion).at(self.theta)
+
+    def slope_at_rest(self, board: Mounted, at: float = 0.0) -> tuple[Array, Array]:
+        """Gain (K, 3, 3) and offset (K, 3): what it adds per unit of force or rate, and without
+        any. at : s, for effects of time"""
+        h, small = 1e-4, np.zeros((4, 3))
+        small[1:] = h * np.eye(3)
+        t, age = np.full(4, at), np.zeros((4, len(board.imus)))
+        rate, force = (small, None) if self.gyro else (None, small)
+        made = self.reading(board_motion(board, t, rate=rate, force=force, age=age))
+        return np.asarray((made[1:] - made[:1]).transpose(1, 2, 0) / h), np.asarray(made[0])
+
+    def beyond(self, motion: BoardMotion, gain: Array, offset: Array) -> Array:
+        """(T, K, 3) what it adds less a gain (K, 3, 3) and an offset (K, 3)."""
+        drive = motion.truth.turning.rate if self.gyro else motion.truth.force
+        linear = np.einsum("kij,tkj->tki", gain, motion.context.in_common(drive)) + offset
+        return np.asarray(self.reading(motion) - linear)
 
     def lag(self, motion: BoardMotion) -> Array:
         """(T, K) s by which its sensors lag: its answer to a change by one a second; zero of what
@@ -220,15 +255,14 @@ def _lag_course(
     return course
 
 
-def evaluate_lags(terms: Sequence[Term], motion: BoardMotion) -> tuple[Array, Array]:
-    """(T, K, 3) in board axes: what lagging accelerometers and gyros read less than there is, where
-    the motion has its courses."""
+def evaluate_lags(terms: Sequence[Term], motion: BoardMotion) -> Pair:
+    """(T, K, 3) in board axes: what lags add to the readings, where the motion has its courses."""
     assert motion.courses is not None
     rate, force = motion.courses
     late, common = select_lagging(terms), motion.context.in_common
-    return (
-        common(force.value - _lag_course(late, force, motion, "acceleration").value),
-        common(rate.value - _lag_course(late, rate, motion, "angular_rate").value),
+    return Pair(
+        common(_lag_course(late, force, motion, "acceleration").value - force.value),
+        common(_lag_course(late, rate, motion, "angular_rate").value - rate.value),
     )
 
 
