@@ -30,7 +30,6 @@ from imucalib.calibrators.array.motion.covariance import (
     Uneven,
     add_unevenness,
     fit_all_samples,
-    samples_used,
 )
 from imucalib.calibrators.array.motion.posterior import (
     PositionDraws,
@@ -38,7 +37,7 @@ from imucalib.calibrators.array.motion.posterior import (
     draw_positions,
 )
 from imucalib.calibrators.array.motion.search import frame_term, start_state
-from imucalib.calibrators.array.motion.setup import array_setup, plain_setup
+from imucalib.calibrators.array.motion.setup import array_setup, set_up
 from imucalib.calibrators.array.motion.state import ArrayState, measure_dispersion
 from imucalib.calibrators.array.motion.terms import rest_terms
 from imucalib.calibrators.array.motion.total import frame_sd, scale_by_turns, total_of
@@ -52,6 +51,9 @@ from imucalib.rests.segments import Segments, still_segments
 Say = Callable[[str], None]
 #: Of the drawing's prior_sd, from which a place is said to be off it.
 _FAR = 3.0
+#: Readings of one kind, samples times IMUs, that a fit takes where nobody says how many: beyond
+#: them memory and time grow, and positions are known far better than they repeat.
+READINGS = 60_000
 SEARCH_SAMPLES = 600  # moving samples on which effects are searched
 HALVED_SAMPLES = 800  # moving samples of which each half is searched again
 
@@ -180,7 +182,7 @@ def _fit(
 ) -> tuple[ArrayState, MotionLoop | None, Uneven | None]:
     """The joint fit of rests and motion, searched where that was asked for; without a search, where
     positions differ from part to part of the motion."""
-    most = samples_used(moving, request.samples)
+    most = min(len(moving.good), request.samples or max(READINGS // board.count, 1))
     searched = (request.loop or bool(request.declare)) and not request.as_published
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES)) if searched else None
     if searched and setup is None and request.declare:
@@ -192,7 +194,9 @@ def _fit(
     try:
         if setup is None:
             # Where nothing is searched, gyros are made like their mean by plain comparison.
-            plain = plain_setup(moving.levelled, board, min(most, SEARCH_SAMPLES))
+            levelled, some = moving.levelled, min(most, SEARCH_SAMPLES)
+            plain = array_setup(levelled, board, some)
+            plain = plain or set_up(levelled, board, some, neighbours=False)
             state = fit_all_samples(start_state(plain, (*terms, frame_term())), most)
             state, uneven = add_unevenness(state, measure_dispersion(state, gyro=False))
             return state, None, uneven

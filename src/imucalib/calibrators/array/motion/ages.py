@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.motion.setup import Setup, select_with_neighbours
+from imucalib.calibrators.array.motion.setup import Setup
 from imucalib.calibrators.array.motion.state import ArrayState, fit_motion_at, subtract_terms
 from imucalib.calibrators.array.motion.terms import Term, board_motion
 from imucalib.core.effect import Context, Response, Truth
@@ -53,7 +53,7 @@ def beats(clock: SampleAge, t: Array, rows: Index) -> Iterator[Beat | None]:
 def estimate_clock(state: ArrayState, *, every: bool = False) -> SampleAge | None:
     """Sawtooth ages from the samples outside of the search, or from every one; None where no gyro
     shows a line."""
-    amid = select_with_neighbours(state.setup.moving)
+    amid = state.setup.moving.amid
     learning = amid if every else _select_learning(state.setup)[0]
     if len(learning) < _FEWEST:
         return None
@@ -64,7 +64,7 @@ def estimate_clock(state: ArrayState, *, every: bool = False) -> SampleAge | Non
 
 def _select_learning(setup: Setup) -> tuple[Index, Flags]:
     """Samples from which clocks are learned, and (T,) those of the setup that vote on them."""
-    amid = select_with_neighbours(setup.moving)
+    amid = setup.moving.amid
     learning = amid[~np.isin(amid, setup.chosen)]
     if len(learning) >= _TRAIN * len(amid):
         return learning, np.ones(len(setup.rows), dtype=np.bool_)

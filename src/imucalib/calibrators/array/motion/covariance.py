@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.board.moving import Moving
-from imucalib.calibrators.array.motion.setup import Setup, every_sample, motion_at
+from imucalib.calibrators.array.motion.setup import Setup, motion_at, set_up
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
     fit_jointly,
@@ -193,22 +192,14 @@ def add_unevenness(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven
     return replace(state, covariance=covariance, by_noise=by_noise), found
 
 
-#: Readings of one kind, samples times IMUs, that a fit takes where nobody says how many: beyond
-#: them memory and time grow, and positions are known far better than they repeat.
-READINGS = 60_000
 _FOLLOWED = 1  # round of the motion at new samples, so that a fit there begins with its noise
-
-
-def samples_used(moving: Moving, asked: int | None) -> int:
-    """How many informative samples a fit takes: all, up to what was asked or to `READINGS`."""
-    return min(len(moving.good), asked or max(READINGS // moving.gyros.triads, 1))
 
 
 def on_all(state: ArrayState, most: int) -> ArrayState:
     """The state at `most` of all informative samples, not settled there. Samples without
     neighbours serve unless a term needs the force's derivative."""
-    neighbours = any("jerk" in term.effect.needs for term in state.terms)
-    return transfer_to(state, every_sample(state.setup, most, neighbours=neighbours))
+    neighbours, setup = any("jerk" in t.effect.needs for t in state.terms), state.setup
+    return transfer_to(state, set_up(setup.moving, setup.board, most, neighbours=neighbours))
 
 
 def fit_all_samples(state: ArrayState, most: int) -> ArrayState:

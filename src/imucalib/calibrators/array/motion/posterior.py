@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.board.board import Board
-from imucalib.calibrators.array.board.moving import Moving, spread_over
+from imucalib.calibrators.array.board.moving import Moving
 from imucalib.calibrators.array.motion.state import ArrayState, refit_motion
 from imucalib.core.eigen import eigen
 from imucalib.errors import NotConverged, Undetermined
@@ -319,7 +319,8 @@ def draw_as_published(
     Raises Undetermined where the board file lacks what it needs, or the positions collapse or stay
     open, NotConverged where its chains disagree.
     """
-    rows = spread_over(moving.good, min(samples or SAMPLES, len(moving.good)))
+    count = min(samples or SAMPLES, len(moving.good))
+    rows = moving.good[np.linspace(0, len(moving.good) - 1, count).round().astype(np.intp)]
     data = samples_of(moving, rows, board)
     prior = DrawnPrior(board.drawn, board.prior_sd)
     found = run_pmmh(data, prior, rng, iterations=iterations)

@@ -72,33 +72,18 @@ class Setup:
 def array_setup(moving: Moving, board: Board, samples: int) -> Setup | None:
     """At most `samples` informative samples whose neighbours are informative too; None when
     there are too few."""
-    amid = select_with_neighbours(moving)
-    if len(amid) < FEWEST:
+    if len(moving.amid) < FEWEST:
         return None
-    chosen = stretches(amid, samples)
-    return _setup(moving, board, chosen, _around(chosen))
+    return set_up(moving, board, samples, neighbours=True)
 
 
-def every_sample(setup: Setup, samples: int, *, neighbours: bool) -> Setup:
-    """The same with all informative samples, at most `samples` of them.
+def set_up(moving: Moving, board: Board, samples: int, *, neighbours: bool) -> Setup:
+    """At most `samples` informative samples, however few there are.
 
     neighbours : whether only those whose neighbours are informative too
     """
-    moving = setup.moving
-    chosen = stretches(select_with_neighbours(moving) if neighbours else moving.good, samples)
+    chosen = _stretches(moving.amid if neighbours else moving.good, samples)
     rows = _around(chosen) if neighbours else chosen
-    return _setup(moving, setup.board, chosen, rows)
-
-
-def plain_setup(moving: Moving, board: Board, samples: int) -> Setup:
-    """For a fit without a search: the same where there are enough of these, else of all informative
-    samples, with neighbours or without."""
-    found = array_setup(moving, board, samples)
-    chosen = stretches(moving.good, samples)
-    return found or _setup(moving, board, chosen, chosen)
-
-
-def _setup(moving: Moving, board: Board, chosen: Index, rows: Index) -> Setup:
     t = moving.t[rows]
     span = float(max(np.ptp(t), 1e-9))
     block = ((moving.t[chosen] - t[0]) / min(_BLOCK, span / 8.0)).astype(np.intp)
@@ -137,16 +122,7 @@ def select_searched(setup: Setup) -> Index:
     return np.linspace(0, len(setup.inner) - 1, min(most, len(setup.inner))).astype(np.intp)
 
 
-def select_with_neighbours(moving: Moving) -> Index:
-    """Informative samples whose two neighbours are informative and at the usual interval."""
-    good = np.zeros(len(moving.t) + 2, dtype=np.bool_)
-    good[1 + moving.good] = True
-    regular = np.abs(np.diff(moving.t) - moving.interval) < 0.3 * moving.interval
-    amid = good[1:-1] & good[:-2] & good[2:]
-    return np.flatnonzero(amid & np.append(False, regular) & np.append(regular, False))
-
-
-def stretches(rows: Index, samples: int) -> Index:
+def _stretches(rows: Index, samples: int) -> Index:
     """At most `samples` of the rows, in stretches of consecutive ones over all of them."""
     if len(rows) <= samples:
         return rows
