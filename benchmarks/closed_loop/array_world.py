@@ -20,9 +20,9 @@ from imucalib.calibrators.array.board.log import array_log, of_board
 from imucalib.calibrators.array.board.moving import find_moving
 from imucalib.calibrators.array.board.rests import fit_rests
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.motion.search import add_declared, new_term, own_gram, start_state
+from imucalib.calibrators.array.motion.search import add_declared, new_term, own_gram
 from imucalib.calibrators.array.motion.setup import Setup, array_setup
-from imucalib.calibrators.array.motion.state import ArrayState
+from imucalib.calibrators.array.motion.state import ArrayState, start_state
 from imucalib.calibrators.array.motion.terms import Term, board_motion, rest_terms, typical_of
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulate_motion
 from imucalib.errors import Undetermined

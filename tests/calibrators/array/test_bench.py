@@ -11,8 +11,8 @@ import pytest
 
 from imucalib.calibrators.array.board.board import Board, read_board, undrawn_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.motion.search import start_state
 from imucalib.calibrators.array.motion.setup import array_setup
+from imucalib.calibrators.array.motion.state import start_state
 from imucalib.calibrators.array.motion.terms import rest_terms
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun

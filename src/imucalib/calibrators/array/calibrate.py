@@ -26,19 +26,20 @@ from imucalib.calibrators.array.board.streams import (
 )
 from imucalib.calibrators.array.findings import linear_part, residual_in_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.motion.covariance import (
-    Uneven,
-    add_unevenness,
-    fit_all_samples,
-)
+from imucalib.calibrators.array.motion.covariance import Uneven, add_unevenness
 from imucalib.calibrators.array.motion.posterior import (
     PositionDraws,
     draw_as_published,
     draw_positions,
 )
-from imucalib.calibrators.array.motion.search import frame_term, start_state
+from imucalib.calibrators.array.motion.search import frame_term
 from imucalib.calibrators.array.motion.setup import array_setup, set_up
-from imucalib.calibrators.array.motion.state import ArrayState, measure_dispersion
+from imucalib.calibrators.array.motion.state import (
+    ArrayState,
+    fit_all_samples,
+    measure_dispersion,
+    start_state,
+)
 from imucalib.calibrators.array.motion.terms import rest_terms
 from imucalib.calibrators.array.motion.total import frame_sd, scale_by_turns, total_of
 from imucalib.calibrators.array.request import ArrayRequest

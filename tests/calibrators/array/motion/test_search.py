@@ -11,8 +11,7 @@ from imucalib.calibrators.array.board.catalogue import Scope, array_catalogue, f
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.errors import UsageError
-from imucalib.estimators.array.gram import Columns, gram
-from imucalib.estimators.array.samples import Pair, fit_samples
+from imucalib.estimators.array.samples import Columns, Pair, fit_samples, gram
 from worlds.array import corners, skew
 from worlds.array_stories import BOARD, STORIES, closed, named, planted_log, positions_z
 from worlds.places import ROOT

@@ -17,15 +17,7 @@ from imucalib.calibrators.array.motion.ages import (
     estimate_clock,
     find_voting,
 )
-from imucalib.calibrators.array.motion.covariance import (
-    POSITIONS,
-    Uneven,
-    add_unevenness,
-    fit_all_samples,
-    on_all,
-    settle_there,
-    transfer_to,
-)
+from imucalib.calibrators.array.motion.covariance import POSITIONS, Uneven, add_unevenness
 from imucalib.calibrators.array.motion.laws import CURVE
 from imucalib.calibrators.array.motion.search import (
     GYRO_FRAME,
@@ -35,14 +27,18 @@ from imucalib.calibrators.array.motion.search import (
     frame_term,
     measure_shown,
     search_posterior,
-    start_state,
 )
 from imucalib.calibrators.array.motion.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
     find_memory,
+    fit_all_samples,
     measure_dispersion,
+    on_all,
     refit_motion,
+    settle_there,
+    start_state,
+    transfer_to,
 )
 from imucalib.calibrators.array.motion.terms import Term, board_motion
 from imucalib.core.effect import Channel

@@ -8,19 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.motion.setup import Setup, motion_at, set_up
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
-    fit_jointly,
-    fit_motion_at,
-    refit_motion,
     subtract_terms,
     weigh,
 )
-from imucalib.calibrators.array.motion.terms import select_lagging
 from imucalib.core.eigen import eigen
-from imucalib.estimators.array.gram import Columns, gram, inverse_root, scores
-from imucalib.estimators.array.samples import Sampled, fit_samples, reweigh
+from imucalib.estimators.array.samples import (
+    Columns,
+    Sampled,
+    fit_samples,
+    gram,
+    inverse_root,
+    reweigh,
+    scores,
+)
 
 #: What is not explained where positions differ, with what the parts differ by.
 POSITIONS = "positions against "
@@ -190,30 +192,3 @@ def add_unevenness(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven
         at = np.arange(state.positions)
         covariance[at, at] += found.spread**2
     return replace(state, covariance=covariance, by_noise=by_noise), found
-
-
-_FOLLOWED = 1  # round of the motion at new samples, so that a fit there begins with its noise
-
-
-def on_all(state: ArrayState, most: int) -> ArrayState:
-    """The state at `most` of all informative samples, not settled there. Samples without
-    neighbours serve unless a term needs the force's derivative."""
-    neighbours, setup = any("jerk" in t.effect.needs for t in state.terms), state.setup
-    return transfer_to(state, set_up(setup.moving, setup.board, most, neighbours=neighbours))
-
-
-def fit_all_samples(state: ArrayState, most: int) -> ArrayState:
-    """The joint fit at `most` of all informative samples, with the noise in the shape it has."""
-    return settle_there(on_all(state, most))
-
-
-def settle_there(state: ArrayState) -> ArrayState:
-    """The joint fit at samples that the state was moved to, with the noise in the shape it has."""
-    return fit_jointly(refit_motion(state, _FOLLOWED), shaped=False)
-
-
-def transfer_to(state: ArrayState, setup: Setup) -> ArrayState:
-    """What was found, at other samples; to be settled there."""
-    sampled = fit_motion_at(setup, state.r, state.noise)
-    motion = motion_at(setup, sampled, None, courses=bool(select_lagging(state.terms)))
-    return replace(state, setup=setup, sampled=sampled, motion=motion)

@@ -38,7 +38,7 @@ from imucalib.effects.array.parts import (
     one,
     times,
 )
-from imucalib.estimators.array.gram import Columns
+from imucalib.estimators.array.samples import Columns
 from imucalib.posterior.odds import TOGETHER
 from imucalib.posterior.search.catalogue import Component, Kind, Member
 from imucalib.posterior.search.problem import Choice

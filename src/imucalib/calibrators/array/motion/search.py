@@ -29,12 +29,11 @@ from imucalib.calibrators.array.board.catalogue import (
 )
 from imucalib.calibrators.array.motion.ages import add_estimated_clock, add_phases
 from imucalib.calibrators.array.motion.laws import candidates_of
-from imucalib.calibrators.array.motion.setup import Setup, motion_at, select_searched
+from imucalib.calibrators.array.motion.setup import select_searched
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
     PositionBase,
     fit_jointly,
-    fit_motion_at,
     measure_dispersion,
 )
 from imucalib.calibrators.array.motion.terms import (
@@ -46,9 +45,8 @@ from imucalib.calibrators.array.motion.terms import (
 )
 from imucalib.core.effect import Effect, Response
 from imucalib.errors import Undetermined
-from imucalib.estimators.array.gram import inverse_root, marginalize
 from imucalib.estimators.array.noise import MotionNoise, log_density
-from imucalib.estimators.array.samples import reweigh
+from imucalib.estimators.array.samples import inverse_root, marginalize, reweigh
 from imucalib.posterior.closed_loop.found import Score
 from imucalib.posterior.closed_loop.words import SelectedModel, of_each, scores_of, select_model
 from imucalib.posterior.odds import ABSORBED, FINE_SIZES, SEARCHES
@@ -428,24 +426,6 @@ def frame_term() -> Term:
     effect = array_catalogue()[GYRO_FRAME]
     size = typical_of(effect, len(effect.each))
     return Term(GYRO_FRAME, effect, None, np.diag(size), 0.0 * size, np.ones(len(size)))
-
-
-def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
-    """Fitted with the drawing and plain noise as the start."""
-    one = np.ones(setup.triads)
-    noise = MotionNoise(0.2, 0.0, np.inf, one), MotionNoise(5e-3, 0.0, np.inf, one)
-    sampled = fit_motion_at(setup, setup.board.drawn, noise)
-    drawn = ArrayState(
-        setup=setup,
-        r=setup.board.drawn,
-        terms=terms,
-        noise=noise,
-        sampled=sampled,
-        motion=motion_at(setup, sampled, None),
-        covariance=np.empty((0, 0)),
-        converged=False,
-    )
-    return fit_jointly(drawn)
 
 
 def refit(state: ArrayState) -> ArrayState | None:

@@ -10,16 +10,12 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.moving import Moving
-from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
-from imucalib.core.course import bends_of, slope_of
-from imucalib.estimators.array.samples import Pair, Sampled, turning_slope
+from imucalib.estimators.array.samples import Pair
 
 _STRETCH = 16  # consecutive samples, so that neighbours are there for derivatives
 _BLOCK = 5.0  # s, parts of the motion that are held out together
 FEWEST = 60
 _READINGS, _LEAST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
-#: Sample intervals from one neighbour to the next below which they are neighbours.
-_NEXT = 1.3
 
 
 @dataclass(frozen=True)
@@ -130,32 +126,3 @@ def _stretches(rows: Index, samples: int) -> Index:
     size = samples // count
     starts = np.linspace(0, len(rows) - size, count).astype(np.intp)
     return rows[np.unique(starts[:, None] + np.arange(size))]
-
-
-def motion_at(
-    setup: Setup, sampled: Sampled, age: Array | None, *, courses: bool = False
-) -> BoardMotion:
-    """The fitted motion as effects have it; its jerk by the motion of the neighbours, zero where a
-    sample has none. How the board turns is known with its derivative, the force amid the IMUs is
-    not: only there are differences all that there is.
-
-    courses : whether sensors may lag
-    """
-    follows = np.diff(setup.t) < _NEXT * setup.moving.interval
-    sides = np.column_stack([np.append(False, follows), np.append(follows, False)])
-    bend, _ = bends_of(sampled.rate, sampled.spin, setup.t, sides)
-    amid = np.mean(sampled.r, axis=0)
-    common = slope_of(sampled.origin + sampled.turn @ amid, setup.t, sides)
-    turning = turning_slope(sampled.rate, sampled.spin, bend) * np.any(sides, axis=1)[:, None, None]
-    jerk = common[:, None] + (sampled.r - amid) @ turning.transpose(0, 2, 1)
-    found = board_motion(
-        setup.board,
-        setup.t,
-        order=setup.order,
-        rate=sampled.rate,
-        spin=sampled.spin,
-        force=sampled.force,
-        jerk=jerk,
-        age=age,
-    )
-    return found.set_courses(sides) if courses else found

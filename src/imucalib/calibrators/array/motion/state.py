@@ -13,22 +13,16 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.motion.setup import Setup, motion_at
+from imucalib.calibrators.array.motion.setup import Setup, set_up
 from imucalib.calibrators.array.motion.terms import (
     BoardMotion,
     Term,
+    board_motion,
     evaluate_lags,
     lag_motion,
     select_lagging,
 )
-from imucalib.estimators.array.gram import (
-    Columns,
-    Gram,
-    gradient,
-    gram,
-    inverse_root,
-    project_out_motion,
-)
+from imucalib.core.course import bends_of, slope_of
 from imucalib.estimators.array.noise import (
     MotionNoise,
     Squares,
@@ -37,7 +31,18 @@ from imucalib.estimators.array.noise import (
     rescale,
 )
 from imucalib.estimators.array.sample_age import SampleAge
-from imucalib.estimators.array.samples import Pair, Sampled, fit_samples
+from imucalib.estimators.array.samples import (
+    Columns,
+    Gram,
+    Pair,
+    Sampled,
+    fit_samples,
+    gradient,
+    gram,
+    inverse_root,
+    project_out_motion,
+    turning_slope,
+)
 from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.posterior.odds import CERTAIN
 
@@ -96,6 +101,8 @@ class PositionBase:
         return added
 
 
+#: Sample intervals from one neighbour to the next below which they are neighbours.
+_NEXT = 1.3
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
 #: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
 _ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.03
@@ -162,6 +169,53 @@ class ArrayState:
         start = int(ends[names.index(term.name)])
         own = slice(start, start + len(term.value))
         return np.asarray(term.live @ self.covariance[own, own] @ term.live.T)
+
+
+def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
+    """Fitted with the drawing and plain noise as the start."""
+    one = np.ones(setup.triads)
+    noise = MotionNoise(0.2, 0.0, np.inf, one), MotionNoise(5e-3, 0.0, np.inf, one)
+    sampled = fit_motion_at(setup, setup.board.drawn, noise)
+    drawn = ArrayState(
+        setup=setup,
+        r=setup.board.drawn,
+        terms=terms,
+        noise=noise,
+        sampled=sampled,
+        motion=motion_at(setup, sampled, None),
+        covariance=np.empty((0, 0)),
+        converged=False,
+    )
+    return fit_jointly(drawn)
+
+
+def motion_at(
+    setup: Setup, sampled: Sampled, age: Array | None, *, courses: bool = False
+) -> BoardMotion:
+    """The fitted motion as effects have it; its jerk by the motion of the neighbours, zero where a
+    sample has none. How the board turns is known with its derivative, the force amid the IMUs is
+    not: only there are differences all that there is.
+
+    courses : whether sensors may lag
+    """
+    follows = np.diff(setup.t) < _NEXT * setup.moving.interval
+    sides = np.column_stack([np.append(False, follows), np.append(follows, False)])
+    bend, _ = bends_of(sampled.rate, sampled.spin, setup.t, sides)
+    amid = np.mean(sampled.r, axis=0)
+    common = slope_of(sampled.origin + sampled.turn @ amid, setup.t, sides)
+    turning = turning_slope(sampled.rate, sampled.spin, bend) * np.any(sides, axis=1)[:, None, None]
+    jerk = common[:, None] + (sampled.r - amid) @ turning.transpose(0, 2, 1)
+    found = board_motion(
+        setup.board,
+        setup.t,
+        order=setup.order,
+        rate=sampled.rate,
+        spin=sampled.spin,
+        force=sampled.force,
+        jerk=jerk,
+        age=age,
+    )
+    return found.set_courses(sides) if courses else found
 
 
 def fit_motion_at(setup: Setup, r: Array, noise: tuple[MotionNoise, MotionNoise]) -> Sampled:
@@ -303,6 +357,33 @@ def subtract_terms(state: ArrayState, base: PositionBase | None = None) -> Pair:
         columns = term.columns(state.motion) if base is None else base.blocks[1 + k]
         left[columns.gyro][...] -= columns.at(term.theta)
     return left
+
+
+_FOLLOWED = 1  # round of the motion at new samples, so that a fit there begins with its noise
+
+
+def on_all(state: ArrayState, most: int) -> ArrayState:
+    """The state at `most` of all informative samples, not settled there. Samples without
+    neighbours serve unless a term needs the force's derivative."""
+    neighbours, setup = any("jerk" in t.effect.needs for t in state.terms), state.setup
+    return transfer_to(state, set_up(setup.moving, setup.board, most, neighbours=neighbours))
+
+
+def fit_all_samples(state: ArrayState, most: int) -> ArrayState:
+    """The joint fit at `most` of all informative samples, with the noise in the shape it has."""
+    return settle_there(on_all(state, most))
+
+
+def settle_there(state: ArrayState) -> ArrayState:
+    """The joint fit at samples that the state was moved to, with the noise in the shape it has."""
+    return fit_jointly(refit_motion(state, _FOLLOWED), shaped=False)
+
+
+def transfer_to(state: ArrayState, setup: Setup) -> ArrayState:
+    """What was found, at other samples; to be settled there."""
+    sampled = fit_motion_at(setup, state.r, state.noise)
+    motion = motion_at(setup, sampled, None, courses=bool(select_lagging(state.terms)))
+    return replace(state, setup=setup, sampled=sampled, motion=motion)
 
 
 #: Samples over which a sum of residuals is taken, and the farthest neighbours that are compared.

@@ -17,8 +17,7 @@ from imucalib.calibrators.array.board.rests import RestFit
 from imucalib.core.course import Course, course_of
 from imucalib.core.effect import Basis, Channel, Context, Motion, Parameter, Response, Truth
 from imucalib.core.eigen import eigen
-from imucalib.estimators.array.gram import Columns
-from imucalib.estimators.array.samples import Pair
+from imucalib.estimators.array.samples import Columns, Pair
 
 
 @dataclass(frozen=True)
