@@ -1,6 +1,12 @@
-"""Pseudo-marginal Metropolis-Hastings for the positions: Algorithm 1 of paper 001.
+"""Paper 001 as published: its likelihood with the motion integrated out, and Algorithm 1.
 
-Each proposal of the isotropic random walk (27) is judged by the Monte Carlo likelihood (26): N
+y_kt = W_t r_k + s_t + e_kt with W_t = Ω(ω_t)² + Ω(dω_t/dt), r_1 = 0; gyros give ω_t (eqs. 4 and 5).
+dω/dt and s_t are integrated out flat, which pulls the array's size to zero by 3 T times its
+variance (T integrals, each worth |J|^-1/2). The determinant's exponent is 1/2: a Gaussian of
+covariance M carries |2πM|^-1/2, and as the motion's prior widens |M| tends to a constant times
+|HᵀLH|, with L the accelerometers' precision; (25) and (26) as printed lack the square root.
+
+The chain is pseudo-marginal Metropolis-Hastings. Each proposal of the isotropic random walk (27) is judged by the Monte Carlo likelihood (26): N
 rates a sample drawn from what the gyros say, ω̇ and s integrated out in closed form, log-sum-exp. N
 is raised until the log likelihood's variance at the prior mean is 0.1, then the step length is set
 to an acceptance of 7 to 23 % (section III-C); the burn-in ends when chains from different starts

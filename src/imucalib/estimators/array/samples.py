@@ -4,6 +4,10 @@ Nine unknowns a sample: s (specific force of the first triad), dω/dt and ω, by
 kept of it (`Sampled`) is all that a score test needs to take the motion out of any column. What the
 accelerometers say of (s, W), a force being (s, W) times (1, r), are twelve numbers and a matrix,
 whatever the number of IMUs; each step runs on these.
+
+Columns of a model act on one triad at one kind of sensor, or are shared by all triads. So their
+plain products are a small matrix a triad, and what the motion takes from them has nine rows a
+sample: they are never stacked to the length of all readings.
 """
 
 from __future__ import annotations
@@ -63,17 +67,9 @@ class Sampled:
     root: Array
 
     def take(self, rows: Index) -> Sampled:
-        return Sampled(
-            rate=self.rate[rows],
-            spin=self.spin[rows],
-            origin=self.origin[rows],
-            force=self.force[rows],
-            turn=self.turn[rows],
-            off=self.off.take(rows),
-            weights=self.weights.take(rows),
-            r=self.r,
-            root=self.root[rows],
-        )
+        own = ("rate", "spin", "origin", "force", "turn", "root")
+        each = {name: getattr(self, name)[rows] for name in own}
+        return replace(self, off=self.off.take(rows), weights=self.weights.take(rows), **each)
 
     @cached_property
     def arms(self) -> Array:

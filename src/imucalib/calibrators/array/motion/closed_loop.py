@@ -93,6 +93,12 @@ def cross_fitted(
 ) -> Gained | None:
     """Predict each half by what a search of the other finds; None where the halves are too small.
 
+    One design, fixed before the search: blocks of a few seconds in two halves. On one half
+    positions, noise, effects and their choice among the sets that were likely are made anew, which
+    may find none; then the other is predicted with all of it held. Only the motion of each sample
+    is its own, and the phases of the gyros' clocks come from samples in between that are never
+    predicted. Base and final model stand on the same samples.
+
     searched : from samples to the fitted base and to the end of the search
     """
     sizes, blocks = list[list[Array]](), list[Index]()

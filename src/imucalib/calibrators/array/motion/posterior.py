@@ -1,4 +1,4 @@
-"""Positions as the chains draw them, and what they must not be asked."""
+"""Positions as chains draw them, over the joint fit or as published, and what they refuse."""
 
 from __future__ import annotations
 
@@ -152,8 +152,17 @@ _SETTLED = 4  # rounds of the motion with its weights, at the fit
 
 
 class PositionDensity:
-    """Of steps (B, d) m of the positions from a fitted state, effects at their best for them: log p
-    (B,) over that of the fit itself."""
+    """What the joint fit maximises: of steps (B, d) m of the positions from a fitted state, log p
+    (B,) over that of the fit itself,
+
+        log p(x) = - Σ (ν + 3)/2 log(1 + |e|²/(ν σ²)) - Σ (x - prior)²/2 sd²,
+
+    with e = y - motion - terms of all triads and samples (for Gaussian noise Σ |e|²/2 σ²). The
+    nine unknowns of each sample are at their best for x: equations 4 and 5 of paper 001, whose flat
+    integral over dω/dt pulls positions to the drawing's middle, while the best motion does not.
+    Noise, and what places scatter by about the drawing, are those of the fit; effects are linear
+    about it and at their best for x, positions and motion are not linear.
+    """
 
     def __init__(self, state: ArrayState) -> None:
         assert state.by_noise is not None

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -147,6 +148,12 @@ class ArrayState:
     def found(self) -> tuple[Term, ...]:
         return tuple(term for term in self.terms if term.found)
 
+    @property
+    def slices(self) -> list[slice]:
+        """Of each term, its coordinates among all that are free."""
+        ends = self.positions + np.cumsum([0, *(len(term.value) for term in self.terms)])
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
     def squares(self, off: Pair | None = None) -> tuple[Squares, Squares, Array]:
         """Residuals of accelerometers and gyros at the inner samples as their noise is judged by,
         and the speed (inner,) rad/s; off : (T, K, 3) other residuals."""
@@ -164,10 +171,7 @@ class ArrayState:
 
     def covariance_of(self, term: Term) -> Array:
         """(p, p) posterior covariance of a term's parameters."""
-        names = [other.name for other in self.terms]
-        ends = self.positions + np.cumsum([0, *(len(other.value) for other in self.terms)])
-        start = int(ends[names.index(term.name)])
-        own = slice(start, start + len(term.value))
+        own = self.slices[[other.name for other in self.terms].index(term.name)]
         return np.asarray(term.live @ self.covariance[own, own] @ term.live.T)
 
 
@@ -301,12 +305,10 @@ def _newton(state: ArrayState, close: float) -> ArrayState:
 
 
 def _move(state: ArrayState, step: Array, variance: Array) -> ArrayState:
-    ends = state.positions + np.cumsum([0, *(len(term.value) for term in state.terms)])
     r = state.r.copy()
     r[1:] += step[: state.positions].reshape(-1, 3)
-    parts = zip(state.terms, ends, ends[1:], strict=False)
-    terms = tuple(term.move(step[a:b], variance[a:b]) for term, a, b in parts)
-    return replace(state, r=r, terms=terms)
+    own = zip(state.terms, state.slices, strict=True)
+    return replace(state, r=r, terms=tuple(t.move(step[at], variance[at]) for t, at in own))
 
 
 def update_motion(
