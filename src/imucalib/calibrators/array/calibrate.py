@@ -37,7 +37,6 @@ from imucalib.calibrators.array.motion.setup import array_setup, set_up
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
     fit_all_samples,
-    measure_dispersion,
     start_state,
 )
 from imucalib.calibrators.array.motion.terms import rest_terms
@@ -199,7 +198,7 @@ def _fit(
             plain = array_setup(levelled, board, some)
             plain = plain or set_up(levelled, board, some, neighbours=False)
             state = fit_all_samples(start_state(plain, (*terms, frame_term())), most)
-            state, uneven = add_unevenness(state, measure_dispersion(state, gyro=False))
+            state, uneven = add_unevenness(state)
             return state, None, uneven
         loop = close_array_loop(
             setup,

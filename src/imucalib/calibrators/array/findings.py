@@ -26,7 +26,7 @@ from imucalib.calibrators.array.motion.closed_loop import (
     MotionLoop,
     size_in_words,
 )
-from imucalib.calibrators.array.motion.covariance import POSITIONS, Uneven
+from imucalib.calibrators.array.motion.covariance import Uneven
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.motion.terms import Term, typical_of
 from imucalib.calibrators.array.request import Accepted
@@ -102,7 +102,7 @@ def find_unexplained(
     if found is None:
         return (*whole, *single)
     if isinstance(found, Uneven):
-        name, moves = POSITIONS + found.follows, [float(found.spread.max())]
+        name, moves = found.unexplained.name, [float(found.spread.max())]
     else:
         name, moves = "positions", list(found.moved.values())
         if found.suspected:

@@ -6,11 +6,11 @@ variance (T integrals, each worth |J|^-1/2). The determinant's exponent is 1/2: 
 covariance M carries |2πM|^-1/2, and as the motion's prior widens |M| tends to a constant times
 |HᵀLH|, with L the accelerometers' precision; (25) and (26) as printed lack the square root.
 
-The chain is pseudo-marginal Metropolis-Hastings. Each proposal of the isotropic random walk (27) is judged by the Monte Carlo likelihood (26): N
-rates a sample drawn from what the gyros say, ω̇ and s integrated out in closed form, log-sum-exp. N
-is raised until the log likelihood's variance at the prior mean is 0.1, then the step length is set
-to an acceptance of 7 to 23 % (section III-C); the burn-in ends when chains from different starts
-have reached the same level.
+The chain is pseudo-marginal Metropolis-Hastings. Each proposal of the isotropic random walk (27) is
+judged by the Monte Carlo likelihood (26): N rates a sample drawn from what the gyros say, ω̇ and s
+integrated out in closed form, log-sum-exp. N is raised until the log likelihood's variance at the
+prior mean is 0.1, then the step length is set to an acceptance of 7 to 23 % (section III-C); the
+burn-in ends when chains from different starts have reached the same level.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,15 +17,13 @@ from imucalib.calibrators.array.motion.ages import (
     estimate_clock,
     find_voting,
 )
-from imucalib.calibrators.array.motion.covariance import POSITIONS, Uneven, add_unevenness
+from imucalib.calibrators.array.motion.covariance import add_unevenness
 from imucalib.calibrators.array.motion.laws import CURVE
 from imucalib.calibrators.array.motion.search import (
     GYRO_FRAME,
     MotionSearch,
     add_declared,
-    fit_with_members,
     frame_term,
-    measure_shown,
     search_posterior,
 )
 from imucalib.calibrators.array.motion.setup import FEWEST, Setup, part_of
@@ -46,11 +44,9 @@ from imucalib.posterior.closed_loop.found import (
     CheckedError,
     FitLoop,
     Loop,
-    Score,
     Step,
     Unexplained,
 )
-from imucalib.posterior.closed_loop.words import scores_of
 from imucalib.posterior.held_out import Difference, difference
 from imucalib.posterior.odds import CERTAIN
 from imucalib.rests.segments import Segments
@@ -164,8 +160,7 @@ class MotionLoop(Loop[ArrayState]):
 
     gained : what motion that took no part in any choice says, None where it is too short for that
     impact : what cannot be seen, with the m rms by which its typical size moves the positions;
-    moved : the same of what has no name; dispersion : how many times fewer accelerometer samples
-        noise that neighbours share leaves
+    moved : the same of what has no name
     scope : what the user declared; rests : the search at rest, of which `join_rests` made a part of
         this one
     """
@@ -173,7 +168,6 @@ class MotionLoop(Loop[ArrayState]):
     gained: Gained | None
     impact: Mapping[str, float]
     moved: Mapping[str, float]
-    dispersion: float
     scope: Scope = EVERYTHING
     rests: FitLoop | None = None
 
@@ -183,6 +177,11 @@ class MotionLoop(Loop[ArrayState]):
         own = self.rests.steps if self.rests is not None else ()
         in_motion = len(self.named) > len(own)
         return in_motion and self.difference is not None and not self.difference.proved
+
+    @property
+    def dispersion(self) -> float:
+        """How many times fewer accelerometer samples noise that neighbours share leaves."""
+        return measure_dispersion(self.final, gyro=False)
 
     @property
     def held_out(self) -> Gained | None:
@@ -261,7 +260,7 @@ def close_array_loop(
     ) -> tuple[ArrayState, ArrayState, MotionSearch]:
         base = add_estimated_clock(add_declared(start_state(chosen, first), scope.declare))
         found = search_posterior(base, held, whole)
-        return base, _drop_laws(found, held, curves=curves) or base, found
+        return base, found.drop_laws(held, curves=curves) or base, found
 
     base, final, found = search(setup)
     gained = cross_fitted(halved or setup, lambda half: search(half, found)[:2])
@@ -279,11 +278,9 @@ def close_array_loop(
         final, steps = base, ()
     final = _on_all(final, most)
     open_ends |= dict.fromkeys(find_memory(final) if scope.search else (), 0.0)
-    dispersion = measure_dispersion(final, gyro=False)
-    final, uneven = add_unevenness(final, dispersion)
-    final = _as_far_as_known(final, shifts.values())
+    final, uneven = add_unevenness(final, shifts.values())
     if uneven is not None:
-        open_ends = {_as_positions(uneven): float(uneven.spread.max())} | open_ends
+        open_ends = {uneven.unexplained: float(uneven.spread.max())} | open_ends
     return MotionLoop(
         base=base,
         final=final,
@@ -291,7 +288,7 @@ def close_array_loop(
         rejected=(*found.rejected, *refused),
         refuted=tuple(name for name, _ in refused),
         unexplained=tuple(open_ends),
-        scores=_last_scores(found),
+        scores=found.said.problem.score(found.said.posterior),
         first_scores=found.scores,
         missing=found.said.problem.missing,
         difference=deciding,
@@ -299,15 +296,8 @@ def close_array_loop(
         gained=gained,
         impact=found.impact,
         moved={one.name: move for one, move in open_ends.items()},
-        dispersion=dispersion,
         scope=scope,
     )
-
-
-def _last_scores(found: MotionSearch) -> tuple[Score, ...]:
-    """Of the last products."""
-    problem = found.said.problem
-    return scores_of(problem, found.said.posterior, measure_shown(problem))
 
 
 def _sensors_that_show(final: ArrayState, steps: Sequence[Step]) -> set[Channel]:
@@ -317,30 +307,6 @@ def _sensors_that_show(final: ArrayState, steps: Sequence[Step]) -> set[Channel]
     shown = [term.effect for term in final.found if term.name in told]
     shared = any(effect.shared for effect in shown) or not shown
     return set(CHANNELS) if shared else {effect.channel for effect in shown}
-
-
-def _drop_laws(found: MotionSearch, scope: Scope, *, curves: bool) -> ArrayState | None:
-    """The fit without laws, which have no name, unless they are to be corrected; None where it runs
-    away."""
-    chosen = found.said.problem.of_set(found.said.hypothesis)
-    named = [one for one in chosen if curves or found.said.problem.is_named(one.name)]
-    known = {term.name for term in found.state.found}
-    if known == {one.name for one in named} | (known & set(scope.declare)):
-        return found.state
-    return fit_with_members(found.state, named, scope)
-
-
-def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
-    """With positions known no better than by what moves them and is not corrected, (d,) m each."""
-    covariance, d = state.covariance.copy(), state.positions
-    for moved in shifts:
-        covariance[:d, :d] += np.outer(moved, moved)
-    return replace(state, covariance=covariance)
-
-
-def _as_positions(apart: Uneven) -> Unexplained:
-    name = POSITIONS + apart.follows
-    return Unexplained(name, apart.follows, "probe", 1.0 - apart.p, apart.nats)
 
 
 def _on_all(state: ArrayState, most: int | None) -> ArrayState:

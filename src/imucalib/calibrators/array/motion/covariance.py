@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
+    measure_dispersion,
     subtract_terms,
     weigh,
 )
@@ -23,6 +24,7 @@ from imucalib.estimators.array.samples import (
     reweigh,
     scores,
 )
+from imucalib.posterior.closed_loop.found import Unexplained
 
 #: What is not explained where positions differ, with what the parts differ by.
 POSITIONS = "positions against "
@@ -40,6 +42,12 @@ class Uneven:
     p: float
     nats: float
     spread: Array
+
+    @property
+    def unexplained(self) -> Unexplained:
+        """The same as structure that stays."""
+        name = POSITIONS + self.follows
+        return Unexplained(name, self.follows, "probe", 1.0 - self.p, self.nats)
 
 
 def uneven(state: ArrayState, pulls: Array, dispersion: float) -> Uneven | None:
@@ -181,14 +189,21 @@ def sd_of_few(state: ArrayState, count: int) -> Array:
     return np.asarray(np.sqrt(np.median(variance.reshape(-1, 3), axis=0)))
 
 
-def add_unevenness(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven | None]:
-    """The state with that covariance, positions known no better than parts of the motion agree on
-    them, and where they do not; factor : how many times fewer samples noise that neighbours share
-    leaves."""
+def add_unevenness(
+    state: ArrayState, shifts: Iterable[Array] = ()
+) -> tuple[ArrayState, Uneven | None]:
+    """The state with that covariance, of as many fewer samples as noise that neighbours share
+    leaves; positions known no better than parts of the motion agree on them, nor than by what moves
+    them and is not corrected; and where the parts do not agree.
+
+    shifts : (d,) m each, of what is not corrected
+    """
+    factor = measure_dispersion(state, gyro=False)
     covariance, by_noise, pulls = sandwich(state)
     covariance *= factor
-    found = uneven(state, pulls, factor)
+    found, own = uneven(state, pulls, factor), np.arange(state.positions)
     if found is not None:
-        at = np.arange(state.positions)
-        covariance[at, at] += found.spread**2
+        covariance[own, own] += found.spread**2
+    for moved in shifts:
+        covariance[: len(own), : len(own)] += np.outer(moved, moved)
     return replace(state, covariance=covariance, by_noise=by_noise), found

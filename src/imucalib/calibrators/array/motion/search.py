@@ -109,6 +109,22 @@ class MotionProblem(Contest):
         moves = float(np.sqrt(np.sum(np.mean(self.moves[:, at] ** 2, axis=0))))
         return after / max(before, 1e-300), float(np.sqrt(max(after, 0.0))), moves
 
+    def score(self, posterior: Posterior) -> tuple[Score, ...]:
+        """Of every component; what no motion shows, nothing is left of."""
+        shown = (self.measure(c) for c in range(len(self.components)))
+        left = [(share if length > OPEN else 0.0, length, 0.0) for share, length, _ in shown]
+        return scores_of(self, posterior, left)
+
+    @property
+    def absorbed(self) -> dict[str, float]:
+        """What no motion shows, and by how many m rms its typical size moves the positions."""
+        found = {}
+        for c, component in enumerate(self.components):
+            share, strength, moves = self.measure(c)
+            if component.named and (strength <= OPEN or share < ABSORBED):
+                found[component.name] = moves
+        return found
+
     def of_set(self, hypothesis: Hypothesis) -> tuple[Member, ...]:
         """What a set adds to the model."""
         return tuple(self.choices[p.choice].member for p in hypothesis.picks)
@@ -239,6 +255,15 @@ class MotionSearch:
         """What is told."""
         return self.said.problem.of_set(self.said.hypothesis)
 
+    def drop_laws(self, scope: Scope, *, curves: bool) -> ArrayState | None:
+        """The fit without laws, which have no name, unless these are to be corrected; None where it
+        runs away."""
+        named = [m for m in self.chosen if curves or self.said.problem.is_named(m.name)]
+        known = {term.name for term in self.state.found}
+        if known == {one.name for one in named} | (known & set(scope.declare)):
+            return self.state
+        return fit_with_members(self.state, named, scope)
+
     @property
     def likely(self) -> Odds:
         """Components that are in any set near the likeliest, or in what is told."""
@@ -314,8 +339,7 @@ class _Held:
 
 
 def _first(said: SelectedModel[MotionProblem]) -> tuple[tuple[Score, ...], dict[str, float]]:
-    scores = scores_of(said.problem, said.posterior, measure_shown(said.problem))
-    return scores, find_absorbed(said.problem)
+    return said.problem.score(said.posterior), said.problem.absorbed
 
 
 def _list_names(said: SelectedModel[MotionProblem]) -> frozenset[str]:
@@ -346,22 +370,6 @@ def _noise_gain(before: tuple[MotionNoise, MotionNoise], state: ArrayState) -> f
     )
 
 
-def measure_shown(problem: MotionProblem) -> list[tuple[float, float, float]]:
-    """Of each component what `scores_of` tells; what no motion shows, nothing is left of."""
-    shown = (problem.measure(c) for c in range(len(problem.components)))
-    return [(share if strength > OPEN else 0.0, strength, 0.0) for share, strength, _ in shown]
-
-
-def find_absorbed(problem: MotionProblem) -> dict[str, float]:
-    """What no motion shows, and by how many m rms its typical size moves the positions."""
-    found = {}
-    for c, component in enumerate(problem.components):
-        share, strength, moves = problem.measure(c)
-        if component.named and (strength <= OPEN or share < ABSORBED):
-            found[component.name] = moves
-    return found
-
-
 def fit_with_members(
     state: ArrayState, chosen: Sequence[Member], scope: Scope
 ) -> ArrayState | None:
@@ -373,11 +381,7 @@ def fit_with_members(
             term = new_term(grown, one.name, one.effects[0][0])
             if term.value.size:
                 grown = replace(grown, terms=(*grown.terms, term))
-    try:
-        grown = fit_jointly(add_phases(grown))
-    except np.linalg.LinAlgError:
-        return None
-    return grown if grown.converged else None
+    return refit(add_phases(grown), shaped=True)
 
 
 def add_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
@@ -428,10 +432,11 @@ def frame_term() -> Term:
     return Term(GYRO_FRAME, effect, None, np.diag(size), 0.0 * size, np.ones(len(size)))
 
 
-def refit(state: ArrayState) -> ArrayState | None:
-    """The joint fit with the noise in the shape that it has; None where it runs away."""
+def refit(state: ArrayState, *, shaped: bool = False) -> ArrayState | None:
+    """The joint fit, by default with the noise in the shape that it has; None where it runs
+    away."""
     try:
-        found = fit_jointly(state, shaped=False)
+        found = fit_jointly(state, shaped=shaped)
     except np.linalg.LinAlgError:
         return None
     return found if found.converged else None
