@@ -25,6 +25,7 @@ from imucalib.calibrators.array.motion.setup import Setup, array_setup
 from imucalib.calibrators.array.motion.state import ArrayState, start_state
 from imucalib.calibrators.array.motion.terms import Term, board_motion, rest_terms, typical_of
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulate_motion
+from imucalib.calibrators.request import Request
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
@@ -75,7 +76,7 @@ def trial(job: Job) -> Trial:
     log = _Log(job, np.random.default_rng(job.seed))
     setup, terms = _ready(log.recording)
     started = time.process_time()
-    loop = close_array_loop(setup, terms, curves=job.outside is not None)
+    loop = close_array_loop(setup, terms, Request(curves=job.outside is not None))
     seconds = time.process_time() - started
     strength: tuple[float, ...] = ()
     oracle = loop.base
@@ -190,7 +191,7 @@ def _ready(recording: Recording) -> tuple[Setup, tuple[Term, ...]]:
     recording, board = of_board(recording, BOARD)
     segments = still_segments(recording)
     log = array_log(recording, board)
-    rests = fit_rests(segments, board, STANDARD_GRAVITY)
+    rests = fit_rests(segments, board, Request())
     setup = array_setup(find_moving(log, rests), board, SAMPLES)
     assert setup is not None
     return setup, rest_terms(rests)

@@ -14,6 +14,7 @@ from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_arra
 from imucalib.calibrators.array.motion.setup import array_setup
 from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulate_motion
+from imucalib.calibrators.request import Request
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from imucalib.units import DEG
@@ -106,7 +107,7 @@ def planted(
 def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, RestFit]:
     segments = still_segments(recording)
     log = array_log(recording, board)
-    rests = fit_rests(segments, board, 9.80665)
+    rests = fit_rests(segments, board, Request())
     return find_moving(log, rests), rests
 
 
@@ -116,7 +117,7 @@ def closed(recording: Recording, samples: int = 300, board: Board = BOARD) -> Mo
     moving, rests = moving_of(recording, board)
     setup = array_setup(moving, board, samples)
     assert setup is not None
-    return close_array_loop(setup, rest_terms(rests))
+    return close_array_loop(setup, rest_terms(rests), Request(curves=False))
 
 
 def named(found: MotionLoop) -> set[str]:

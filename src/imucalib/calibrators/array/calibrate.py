@@ -69,7 +69,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     prepared, log = _prepare(recording, request, say)
     del recording  # from here on a log is side by side: held twice, one of many IMUs is large
     segments, board = prepared.segments, prepared.board
-    rests = fit_rests(segments, board, request.gravity, scope=request.scope)
+    rests = fit_rests(segments, board, request)
     say(f"{rests.poses} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
     moving = find_moving(log, rests)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
@@ -203,10 +203,9 @@ def _fit(
         loop = close_array_loop(
             setup,
             terms,
-            curves=request.curves,
+            request,
             halved=array_setup(moving, board, min(most, HALVED_SAMPLES)),
             most=most,
-            scope=request.scope,
         )
         return loop.final, loop, None
     except np.linalg.LinAlgError as error:

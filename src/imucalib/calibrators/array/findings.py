@@ -175,12 +175,12 @@ def array_findings(loop: MotionLoop) -> Findings:
     return findings_of(
         replace(loop, steps=tuple(steps)),
         lambda step: _parameters(step, loop),
-        verdict=loop.verdict if loop.scope.search else "not run",
+        verdict=loop.verdict if loop.request.loop else "not run",
         gain=_gain(loop),
         not_testable=tuple(_untestable(name, m) for name, m in loop.impact.items()),
-        declared=tuple((n, size) for n, size in sizes.items() if n in loop.scope.declare),
-        only=loop.scope.only,
-        without=loop.scope.without,
+        declared=tuple((n, size) for n, size in sizes.items() if n in loop.request.declare),
+        only=loop.request.only,
+        without=loop.request.without,
         facts=(
             *(
                 (f"{sensor} noise", _noise_words(noise, unit, name))
@@ -302,7 +302,7 @@ def effect_blocks(loop: MotionLoop) -> list[dict[str, Any]]:
     """Accepted effects with values, standard deviations and covariance."""
     found = []
     for term in loop.final.found:
-        own, declared = list(parameters_of(loop, term)), term.name in loop.scope.declare
+        own, declared = list(parameters_of(loop, term)), term.name in loop.request.declare
         block = _block(term.name, term.effect, own, loop.final.covariance_of(term), declared)
         found.append({**_beats(loop, term), **block})
     return found

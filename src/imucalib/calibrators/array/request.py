@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from imucalib.calibrators.array.board.board import Board
-from imucalib.calibrators.array.board.catalogue import Scope
 from imucalib.calibrators.array.motion.total import Distance
 from imucalib.calibrators.request import Request
 from imucalib.errors import UsageError
@@ -44,11 +43,6 @@ class ArrayRequest(Request):
     accepted: Accepted = field(default_factory=Accepted)
     as_drawn: bool = False
     agreeing: tuple[str, ...] = ()
-
-    @property
-    def scope(self) -> Scope:
-        """What the search may try."""
-        return Scope(self.declare, self.only, self.without, self.loop)
 
     def refuse_contradictions(self) -> None:
         """Raise UsageError for choices that exclude each other."""

@@ -7,9 +7,10 @@ import pytest
 
 from gates.bounds import at_most
 from imucalib.calibrators.array.board.board import Board
-from imucalib.calibrators.array.board.catalogue import Scope, array_catalogue, find_effect
+from imucalib.calibrators.array.board.catalogue import array_catalogue, find_effect, find_skipped
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
+from imucalib.calibrators.request import Request
 from imucalib.errors import UsageError
 from imucalib.estimators.array.samples import Columns, Pair, fit_samples, gram
 from worlds.array import corners, skew
@@ -114,6 +115,6 @@ def test_every_array_effect_is_documented() -> None:
 )
 def test_names_of_effects_are_checked(name: str, says: str) -> None:
     with pytest.raises(UsageError, match=says):
-        Scope(only=(name,)).find_skipped(BOARD.imus)
+        find_skipped(Request(only=(name,)), BOARD.imus)
     with pytest.raises(UsageError, match=says):
         find_effect(name, BOARD.imus)

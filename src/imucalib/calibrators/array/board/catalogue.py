@@ -1,10 +1,11 @@
-"""Effects of an array, and which of them the user declares or keeps out of the search."""
+"""Effects of an array, and which of them the user keeps out of the search."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from imucalib.calibrators.request import Request
 from imucalib.core.effect import Response
 from imucalib.effects import catalogue
 from imucalib.errors import UsageError
@@ -73,32 +74,19 @@ def find_effect(name: str, imus: Sequence[str]) -> Response:
     return effect
 
 
-@dataclass(frozen=True)
-class Scope:
-    """Names of effects, of one IMU with "@imu3". declare : in the model from the start; only : the
-    search tries no others; without : it does not try these; search : whether there is one"""
+def find_skipped(request: Request, imus: Sequence[str]) -> frozenset[str]:
+    """All effects that a search shall not try, those of one IMU with "@imu3". Raises UsageError for
+    an unknown name."""
+    only, without = request.only, request.without
+    for name in (*only, *without):
+        find_effect(name, imus)
+    every = [n + end for n in array_catalogue() for end in ("", *(f"@{i}" for i in imus))]
 
-    declare: tuple[str, ...] = ()
-    only: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
-    search: bool = True
+    def is_meant(name: str, chosen: Sequence[str]) -> bool:
+        return name in chosen or name.partition("@")[0] in chosen
 
-    def find_skipped(self, imus: Sequence[str]) -> frozenset[str]:
-        """All effects that the search shall not try. Raises UsageError for an unknown name."""
-        for name in (*self.only, *self.without):
-            find_effect(name, imus)
-        every = [n + end for n in array_catalogue() for end in ("", *(f"@{i}" for i in imus))]
-
-        def is_meant(name: str, chosen: Sequence[str]) -> bool:
-            return name in chosen or name.partition("@")[0] in chosen
-
-        return frozenset(
-            n
-            for n in every
-            if not self.search
-            or is_meant(n, self.without)
-            or (self.only and not is_meant(n, self.only))
-        )
-
-
-EVERYTHING = Scope()
+    return frozenset(
+        n
+        for n in every
+        if not request.loop or is_meant(n, without) or (only and not is_meant(n, only))
+    )

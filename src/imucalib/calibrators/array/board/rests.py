@@ -18,7 +18,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import Board
-from imucalib.calibrators.array.board.catalogue import EVERYTHING, Scope
+from imucalib.calibrators.request import Request
 from imucalib.core.balance import Noise, balance
 from imucalib.core.effect import Action, Context, Effect, Parameter, Response, Truth, cross_matrix
 from imucalib.core.fit import Fit
@@ -321,20 +321,18 @@ class RestFit:
         return np.asarray(rate - np.einsum("no,oki->nki", self.powers(t), self.gyro_bias))
 
 
-def fit_rests(
-    segments: Segments, board: Board, gravity: float, *, scope: Scope = EVERYTHING
-) -> RestFit:
+def fit_rests(segments: Segments, board: Board, request: Request) -> RestFit:
     """Fit all triads and search for what is missing.
 
-    segments : of the board's IMUs, in its order. Raises Undetermined when there are too few or too
-    similar rests, NotConverged.
+    segments : of the board's IMUs, in its order; request : gravity, and what to search for
+    Raises Undetermined when there are too few or too similar rests, NotConverged.
     """
-    unweighted = observations_of(segments, board, gravity)
+    unweighted = observations_of(segments, board, request.gravity)
     data, model = weigh_rests(unweighted, estimate_own_noise(segments)), base_model()
     fit = fit_model(model, data)
     if fit.null_directions:
         raise _too_similar()
-    loop = _search(fit, scope) if scope.search else None
+    loop = _search(fit, request) if request.loop else None
     fit = fit if loop is None else loop.final
     if not fit.converged:
         raise NotConverged("the fit of the rests did not settle", remedy="check the recording")
@@ -360,16 +358,16 @@ def fit_rests(
     )
 
 
-def _search(plain: Fit, scope: Scope) -> FitLoop:
+def _search(plain: Fit, request: Request) -> FitLoop:
     """The closed loop over what a rest can show; names of single IMUs are the motion's affair."""
     known = {*catalogue(), *families()}
-    only = tuple(n for n in scope.only if n in known)
-    without = tuple(n for n in scope.without if n in known)
+    only = tuple(n for n in request.only if n in known)
+    without = tuple(n for n in request.without if n in known)
     wanted = effects_to_search(
         only, without, {}, lambda e: e.stage == "sensor" and e.name not in BASE
     )
-    effects = {} if scope.only and not only else wanted.effects
-    scans = () if scope.only else wanted.families
+    effects = {} if request.only and not only else wanted.effects
+    scans = () if request.only else wanted.families
     tried = SearchedEffects(effects, scans)
     return close_loop(plain.model, plain.observations, tried, plain.theta).loop
 

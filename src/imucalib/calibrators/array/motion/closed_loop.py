@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.board.catalogue import AT_REST, EVERYTHING, Scope
+from imucalib.calibrators.array.board.catalogue import AT_REST
 from imucalib.calibrators.array.board.rests import ATTITUDES, RestFit, is_contradicted
 from imucalib.calibrators.array.motion.ages import (
     add_clock,
@@ -39,6 +39,7 @@ from imucalib.calibrators.array.motion.state import (
     transfer_to,
 )
 from imucalib.calibrators.array.motion.terms import Term, board_motion
+from imucalib.calibrators.request import Request
 from imucalib.core.effect import Channel
 from imucalib.posterior.closed_loop.found import (
     CheckedError,
@@ -161,14 +162,13 @@ class MotionLoop(Loop[ArrayState]):
     gained : what motion that took no part in any choice says, None where it is too short for that
     impact : what cannot be seen, with the m rms by which its typical size moves the positions;
     moved : the same of what has no name
-    scope : what the user declared; rests : the search at rest, of which `join_rests` made a part of
-        this one
+    request : what the user declared; rests : the search at rest, where `join_rests` made it a part
     """
 
     gained: Gained | None
     impact: Mapping[str, float]
     moved: Mapping[str, float]
-    scope: Scope = EVERYTHING
+    request: Request
     rests: FitLoop | None = None
 
     @property
@@ -237,30 +237,29 @@ class MotionLoop(Loop[ArrayState]):
 def close_array_loop(
     setup: Setup,
     terms: tuple[Term, ...],
+    request: Request,
     *,
-    curves: bool = False,
     halved: Setup | None = None,
     most: int | None = None,
-    scope: Scope = EVERYTHING,
 ) -> MotionLoop:
     """The posterior over what the motion lacks; corrected is what is told, unless motion that took
     no part refuses it.
 
-    curves : whether laws without a name are corrected; halved : more samples for the halves
-    most : of all informative ones, how many the final fit takes, or None for those of the search
-    scope : effects that the user declares, or keeps out of the search
+    request : effects that the user declares, or keeps out of the search, and whether laws without
+    a name are corrected; halved : more samples for the halves; most : of all informative ones, how
+    many the final fit takes, or None for those of the search
     """
 
-    first, held = (*terms, frame_term()), replace(scope, declare=(*scope.declare, GYRO_FRAME))
-    if GYRO_FRAME in (*scope.declare, *scope.without):
-        first, held = terms, scope
+    first, held = (*terms, frame_term()), replace(request, declare=(*request.declare, GYRO_FRAME))
+    if GYRO_FRAME in (*request.declare, *request.without):
+        first, held = terms, request
 
     def search(
         chosen: Setup, whole: MotionSearch | None = None
     ) -> tuple[ArrayState, ArrayState, MotionSearch]:
-        base = add_estimated_clock(add_declared(start_state(chosen, first), scope.declare))
+        base = add_estimated_clock(add_declared(start_state(chosen, first), request.declare))
         found = search_posterior(base, held, whole)
-        return base, found.drop_laws(held, curves=curves) or base, found
+        return base, found.drop_laws(held) or base, found
 
     base, final, found = search(setup)
     gained = cross_fitted(halved or setup, lambda half: search(half, found)[:2])
@@ -277,7 +276,7 @@ def close_array_loop(
         open_ends = dict.fromkeys(nameless, 0.0) | open_ends
         final, steps = base, ()
     final = _on_all(final, most)
-    open_ends |= dict.fromkeys(find_memory(final) if scope.search else (), 0.0)
+    open_ends |= dict.fromkeys(find_memory(final) if request.loop else (), 0.0)
     final, uneven = add_unevenness(final, shifts.values())
     if uneven is not None:
         open_ends = {uneven.unexplained: float(uneven.spread.max())} | open_ends
@@ -296,7 +295,7 @@ def close_array_loop(
         gained=gained,
         impact=found.impact,
         moved={one.name: move for one, move in open_ends.items()},
-        scope=scope,
+        request=request,
     )
 
 

@@ -22,9 +22,9 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.catalogue import (
-    Scope,
     array_catalogue,
     find_effect,
+    find_skipped,
     twins_of,
 )
 from imucalib.calibrators.array.motion.ages import add_estimated_clock, add_phases
@@ -43,6 +43,7 @@ from imucalib.calibrators.array.motion.terms import (
     typical_columns,
     typical_of,
 )
+from imucalib.calibrators.request import Request
 from imucalib.core.effect import Effect, Response
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.noise import MotionNoise, log_density
@@ -255,14 +256,14 @@ class MotionSearch:
         """What is told."""
         return self.said.problem.of_set(self.said.hypothesis)
 
-    def drop_laws(self, scope: Scope, *, curves: bool) -> ArrayState | None:
+    def drop_laws(self, request: Request) -> ArrayState | None:
         """The fit without laws, which have no name, unless these are to be corrected; None where it
         runs away."""
-        named = [m for m in self.chosen if curves or self.said.problem.is_named(m.name)]
+        named = [m for m in self.chosen if request.curves or self.said.problem.is_named(m.name)]
         known = {term.name for term in self.state.found}
-        if known == {one.name for one in named} | (known & set(scope.declare)):
+        if known == {one.name for one in named} | (known & set(request.declare)):
             return self.state
-        return fit_with_members(self.state, named, scope)
+        return fit_with_members(self.state, named, request)
 
     @property
     def likely(self) -> Odds:
@@ -274,18 +275,18 @@ class MotionSearch:
 
 
 def search_posterior(
-    base: ArrayState, scope: Scope, whole: MotionSearch | None = None
+    base: ArrayState, request: Request, whole: MotionSearch | None = None
 ) -> MotionSearch:
     """The posterior over what a fitted state lacks, at the set that it tells.
 
-    scope : declared effects stay in the model; whole : the search of a motion of which this is a
+    request : declared effects stay in the model; whole : the search of a motion of which this is a
     part, which starts from what is told there
     """
-    skipped, declared = scope.find_skipped(base.setup.imus), scope.declare
+    skipped, declared = find_skipped(request, base.setup.imus), request.declare
     among = None if whole is None else whole.likely
     start = _Held(base, Shares())
     if whole is not None:
-        start = _take_in(start, whole.chosen, scope, None) or start
+        start = _take_in(start, whole.chosen, request, None) or start
 
     def search(held: _Held) -> SelectedModel[MotionProblem]:
         problem, grams = products(held.state, skipped, declared, among)
@@ -293,7 +294,7 @@ def search_posterior(
 
     def take_in(held: _Held, said: SelectedModel[MotionProblem]) -> tuple[_Held, bool] | None:
         chosen = said.problem.of_set(said.hypothesis)
-        grown = _take_in(held, chosen, scope, skipped if whole is None else None)
+        grown = _take_in(held, chosen, request, skipped if whole is None else None)
         if grown is None:
             return None
         # Where the fit is what its products foretold, at the noise that they had, others would say
@@ -347,13 +348,13 @@ def _list_names(said: SelectedModel[MotionProblem]) -> frozenset[str]:
 
 
 def _take_in(
-    held: _Held, chosen: Sequence[Member], scope: Scope, skipped: Collection[str] | None
+    held: _Held, chosen: Sequence[Member], request: Request, skipped: Collection[str] | None
 ) -> _Held | None:
     """The fit with a set, its clocks and its twins told apart; None where it runs away.
 
     skipped : names that are not tried; None where twins stay as the whole motion has told them
     """
-    grown = fit_with_members(held.state, chosen, scope)
+    grown = fit_with_members(held.state, chosen, request)
     if grown is None:
         return None
     if any(term.aged for term in grown.terms):
@@ -371,10 +372,10 @@ def _noise_gain(before: tuple[MotionNoise, MotionNoise], state: ArrayState) -> f
 
 
 def fit_with_members(
-    state: ArrayState, chosen: Sequence[Member], scope: Scope
+    state: ArrayState, chosen: Sequence[Member], request: Request
 ) -> ArrayState | None:
     """The joint fit with these and what is declared, and no others; None where it runs away."""
-    names = {*scope.declare, *(one.name for one in chosen)}
+    names = {*request.declare, *(one.name for one in chosen)}
     grown = replace(state, terms=tuple(t for t in state.terms if not t.found or t.name in names))
     for one in chosen:
         if one.name not in {t.name for t in grown.terms}:
