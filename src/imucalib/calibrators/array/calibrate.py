@@ -24,6 +24,7 @@ from imucalib.calibrators.array.board.streams import (
     stream_notes,
     streams,
 )
+from imucalib.calibrators.array.board.turns import scale_by_turns
 from imucalib.calibrators.array.findings import linear_part, residual_in_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.motion.covariance import Uneven, add_unevenness
@@ -40,7 +41,7 @@ from imucalib.calibrators.array.motion.state import (
     start_state,
 )
 from imucalib.calibrators.array.motion.terms import rest_terms
-from imucalib.calibrators.array.motion.total import frame_sd, scale_by_turns, total_of
+from imucalib.calibrators.array.motion.total import total_of
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun, LocatedBoard, PreparedLog, finish_run
 from imucalib.errors import Undetermined
@@ -88,7 +89,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
         motion,
         gyros=gyros,
         gravity_sd=request.gravity_sd,
-        frame_sd=frame_sd(rests),
+        frame_sd=rests.frame_sd,
         distances=request.distances,
     )
     gaps = request.loop and not request.as_published and loop is None

@@ -20,6 +20,7 @@ from imucalib.calibration.triads import DRIFT, Triad, drift_block
 from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.moving import Moving
 from imucalib.calibrators.array.board.rests import RestFit
+from imucalib.calibrators.array.board.turns import GyroScale
 from imucalib.calibrators.array.findings import (
     LinearPart,
     Residual,
@@ -36,7 +37,7 @@ from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 from imucalib.calibrators.array.motion.covariance import Uneven
 from imucalib.calibrators.array.motion.posterior import PositionDraws
 from imucalib.calibrators.array.motion.state import ArrayState
-from imucalib.calibrators.array.motion.total import GyroScale, Total, size_block
+from imucalib.calibrators.array.motion.total import Total, size_block
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.core.fit import StoredParameter
 from imucalib.recording.identity import Identity

@@ -34,7 +34,7 @@ from imucalib.posterior.candidates import SearchedEffects, effects_to_search
 from imucalib.posterior.closed_loop.closed import close_loop
 from imucalib.posterior.closed_loop.found import FitLoop
 from imucalib.rests.segments import Segments
-from imucalib.units import MG
+from imucalib.units import DEG, MG
 
 FEWEST_POSES = 9
 #: Rests from which they contradict an effect, and times their scatter that it would make of it.
@@ -54,6 +54,8 @@ _AT_A_TIME = 128
 _VAGUE = 0.02
 #: Largest believable deviation of a triad's gain from a plain one.
 _LOOSE = 0.2
+#: A package's turn on the board: sd, and how many degrees of freedom that belief is worth.
+_MOUNTED, _BELIEF = 0.3 * DEG, 1.0
 #: g: up to there a bend that rests show is undone.
 _FARTHEST = 1.2
 
@@ -310,6 +312,17 @@ class RestFit:
         away = self.away(self.fit.observations.context["time"])
         own[:, 9:, 9:] += np.einsum("nki,nkj->kij", away, away) / len(away)
         return gain, offset, np.asarray(both @ own @ both.transpose(0, 2, 1))
+
+    @property
+    def frame_sd(self) -> float:
+        """rad about each axis, of the triads' mean axes against the board's: what the triads' own
+        turns scatter, over the root of how many there are."""
+        gain, _, _ = self.in_board_axes()
+        turn = 0.5 * (gain - gain.transpose(0, 2, 1))
+        angles = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)
+        count = len(angles)
+        square = float(np.sum((angles - angles.mean(axis=0)) ** 2)) + _BELIEF * _MOUNTED**2
+        return float(np.sqrt(square / (3.0 * (count - 1) + _BELIEF) / count))
 
     def powers(self, t: Array) -> Array:
         """(N, order + 1) of the gyros' drift."""
