@@ -343,15 +343,7 @@ def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
         return {}
     return {
         "beats": [
-            None
-            if beat is None
-            else {
-                "imu": imu,
-                "hz": beat.frequency,
-                "phase_turns": beat.phase,
-                "at_s": beat.at,
-                "wander_turns": beat.scatter,
-            }
+            None if beat is None else {"imu": imu, **vars(beat)}
             for imu, beat in zip(setup.imus, beats(clock, setup.t, setup.rows), strict=True)
         ]
     }

@@ -27,13 +27,13 @@ PHASE = 0.01
 
 @dataclass(frozen=True)
 class Beat:
-    """Steady part of a sawtooth: φ(t) = frequency (t - at) + phase, in turns; Hz, negative when the
-    age falls with time; scatter : rms turns by which the phase leaves that line"""
+    """Steady part of a sawtooth: φ(t) = hz (t - at_s) + phase_turns, in turns; Hz, negative when
+    the age falls with time; wander_turns : rms by which the phase leaves that line"""
 
-    frequency: float
-    phase: float
-    at: float
-    scatter: float
+    hz: float
+    phase_turns: float
+    at_s: float
+    wander_turns: float
 
 
 def beats(clock: SampleAge, t: Array, rows: Index) -> Iterator[Beat | None]:

@@ -56,100 +56,7 @@ from imucalib.units import DEG, MG
 
 #: Standard deviation of normal errors over their median absolute deviation.
 NORMAL_MAD = 1.4826
-_HALVES = 2
-_FOLLOWED = 3  # rounds of the motion, with its weights, under a model that does not move
-_NO_ERROR = 1e-12  # m/s² or rad/s
 CHANNELS: tuple[Channel, Channel] = ("acceleration", "angular_rate")
-
-
-class Gained(NamedTuple):
-    """Median absolute deviations before and after: acceleration (m/s²), rate (rad/s)."""
-
-    acceleration: Difference
-    rate: Difference
-
-    @property
-    def checks(self) -> tuple[CheckedError, ...]:
-        """Errors before and after."""
-        force, rate = self
-        return (
-            CheckedError("acc residual", "m/s²", force.before, force.after, 3),
-            CheckedError("gyro residual", "deg/s", rate.before / DEG, rate.after / DEG),
-        )
-
-    def select_deciding(self, channels: Collection[Channel]) -> Difference:
-        """The error that has changed by the most, of the sensors that effects act on: held-out
-        readings of k sensors, each of its own noise, are as much likelier as the sum of the
-        logarithms of what their errors fall by; of two the larger one has the sign of it."""
-        own = [d for c, d in zip(CHANNELS, self, strict=True) if c in channels]
-        return max(own, key=lambda d: abs(np.log(max(d.before, 1e-300) / max(d.after, 1e-300))))
-
-
-def cross_fitted(
-    setup: Setup, searched: Callable[[Setup], tuple[ArrayState, ArrayState]]
-) -> Gained | None:
-    """Predict each half by what a search of the other finds; None where the halves are too small.
-
-    One design, fixed before the search: blocks of a few seconds in two halves. On one half
-    positions, noise, effects and their choice among the sets that were likely are made anew, which
-    may find none; then the other is predicted with all of it held. Only the motion of each sample
-    is its own, and the phases of the gyros' clocks come from samples in between that are never
-    predicted. Base and final model stand on the same samples.
-
-    searched : from samples to the fitted base and to the end of the search
-    """
-    sizes, blocks = list[list[Array]](), list[Index]()
-    for half in (setup.first, ~setup.first):
-        train, test = part_of(setup, half), part_of(setup, ~half)
-        silent = find_voting(test)
-        if min(len(train.inner), int(silent.sum())) < FEWEST // _HALVES:
-            return None
-        sizes.append([_sizes(_predict(end, test), silent) for end in searched(train)])
-        blocks.append(test.block[silent])
-    before, after = (np.concatenate(parts, axis=1) for parts in zip(*sizes, strict=True))
-    block, every = np.concatenate(blocks), zip(before, after, strict=True)
-    return Gained(*(difference_of_medians(*kind, block, _HALVES) for kind in every))
-
-
-def _predict(state: ArrayState, setup: Setup) -> ArrayState:
-    """The motion at other samples under positions, terms and noise that were found without them."""
-    moved = transfer_to(state, setup)
-    if state.clock is not None:
-        moved = add_clock(moved, state.clock, voting=False)
-    return refit_motion(moved, _FOLLOWED)
-
-
-def _sizes(state: ArrayState, rows: Flags) -> Array:
-    """(2, n, 3 K) m/s² and rad/s: what remains of the samples `rows` (inner,) of accelerometers and
-    gyros."""
-    off, inner = state.sampled.off, state.setup.inner[rows]
-    return np.abs([own[inner] for own in off]).reshape(2, len(inner), -1)
-
-
-def difference_of_medians(before: Array, after: Array, block: Index, folds: int) -> Difference:
-    """Median absolute deviations before and after, and the interval of their difference.
-
-    What changes from block to block is how the board moves, and both errors with it; their ratio
-    stays. So the interval is that of the mean logarithm of the ratio over blocks (`difference`), at
-    the error before.
-
-    before, after : (n, m) sizes of the errors of n samples; block : (n,) of samples that belong
-    together
-    """
-    every, of = np.unique(block, return_inverse=True)
-    ratio = np.array([_log_ratio(before[block == one], after[block == one]) for one in every])
-    mean = difference(ratio[of], np.zeros(len(of)), block, folds, "mean")
-    start, end = float(np.median(before)), float(np.median(after))
-    away = _log_ratio(before, after) - mean.gain
-    low, high = (start * -float(np.expm1(-(edge + away))) for edge in (mean.low, mean.high))
-    return Difference(start, end, low, high, mean.parts)
-
-
-def _log_ratio(before: Array, after: Array) -> float:
-    one, two = (max(float(np.median(x)), _NO_ERROR) for x in (before, after))
-    return float(np.log(one / two))
-
-
 #: What is named beside a cause that the rests contradict.
 OTHER = "what shows in motion only"
 _REFUSED = "it makes the held-out error larger"
@@ -405,3 +312,96 @@ def _rest_steps(loop: FitLoop) -> Iterator[Step]:
                 for one in step.in_its_place
             ),
         )
+
+
+_HALVES = 2
+_FOLLOWED = 3  # rounds of the motion, with its weights, under a model that does not move
+_NO_ERROR = 1e-12  # m/s² or rad/s
+
+
+class Gained(NamedTuple):
+    """Median absolute deviations before and after: acceleration (m/s²), rate (rad/s)."""
+
+    acceleration: Difference
+    rate: Difference
+
+    @property
+    def checks(self) -> tuple[CheckedError, ...]:
+        """Errors before and after."""
+        force, rate = self
+        return (
+            CheckedError("acc residual", "m/s²", force.before, force.after, 3),
+            CheckedError("gyro residual", "deg/s", rate.before / DEG, rate.after / DEG),
+        )
+
+    def select_deciding(self, channels: Collection[Channel]) -> Difference:
+        """The error that has changed by the most, of the sensors that effects act on: held-out
+        readings of k sensors, each of its own noise, are as much likelier as the sum of the
+        logarithms of what their errors fall by; of two the larger one has the sign of it."""
+        own = [d for c, d in zip(CHANNELS, self, strict=True) if c in channels]
+        return max(own, key=lambda d: abs(np.log(max(d.before, 1e-300) / max(d.after, 1e-300))))
+
+
+def cross_fitted(
+    setup: Setup, searched: Callable[[Setup], tuple[ArrayState, ArrayState]]
+) -> Gained | None:
+    """Predict each half by what a search of the other finds; None where the halves are too small.
+
+    One design, fixed before the search: blocks of a few seconds in two halves. On one half
+    positions, noise, effects and their choice among the sets that were likely are made anew, which
+    may find none; then the other is predicted with all of it held. Only the motion of each sample
+    is its own, and the phases of the gyros' clocks come from samples in between that are never
+    predicted. Base and final model stand on the same samples.
+
+    searched : from samples to the fitted base and to the end of the search
+    """
+    sizes, blocks = list[list[Array]](), list[Index]()
+    for half in (setup.first, ~setup.first):
+        train, test = part_of(setup, half), part_of(setup, ~half)
+        silent = find_voting(test)
+        if min(len(train.inner), int(silent.sum())) < FEWEST // _HALVES:
+            return None
+        sizes.append([_sizes(_predict(end, test), silent) for end in searched(train)])
+        blocks.append(test.block[silent])
+    before, after = (np.concatenate(parts, axis=1) for parts in zip(*sizes, strict=True))
+    block, every = np.concatenate(blocks), zip(before, after, strict=True)
+    return Gained(*(difference_of_medians(*kind, block, _HALVES) for kind in every))
+
+
+def _predict(state: ArrayState, setup: Setup) -> ArrayState:
+    """The motion at other samples under positions, terms and noise that were found without them."""
+    moved = transfer_to(state, setup)
+    if state.clock is not None:
+        moved = add_clock(moved, state.clock, voting=False)
+    return refit_motion(moved, _FOLLOWED)
+
+
+def _sizes(state: ArrayState, rows: Flags) -> Array:
+    """(2, n, 3 K) m/s² and rad/s: what remains of the samples `rows` (inner,) of accelerometers and
+    gyros."""
+    off, inner = state.sampled.off, state.setup.inner[rows]
+    return np.abs([own[inner] for own in off]).reshape(2, len(inner), -1)
+
+
+def difference_of_medians(before: Array, after: Array, block: Index, folds: int) -> Difference:
+    """Median absolute deviations before and after, and the interval of their difference.
+
+    What changes from block to block is how the board moves, and both errors with it; their ratio
+    stays. So the interval is that of the mean logarithm of the ratio over blocks (`difference`), at
+    the error before.
+
+    before, after : (n, m) sizes of the errors of n samples; block : (n,) of samples that belong
+    together
+    """
+    every, of = np.unique(block, return_inverse=True)
+    ratio = np.array([_log_ratio(before[block == one], after[block == one]) for one in every])
+    mean = difference(ratio[of], np.zeros(len(of)), block, folds, "mean")
+    start, end = float(np.median(before)), float(np.median(after))
+    away = _log_ratio(before, after) - mean.gain
+    low, high = (start * -float(np.expm1(-(edge + away))) for edge in (mean.low, mean.high))
+    return Difference(start, end, low, high, mean.parts)
+
+
+def _log_ratio(before: Array, after: Array) -> float:
+    one, two = (max(float(np.median(x)), _NO_ERROR) for x in (before, after))
+    return float(np.log(one / two))
