@@ -194,6 +194,6 @@ def test_a_beat_is_the_steady_part_of_a_sawtooth() -> None:
     one, none = beats(SampleAge(wave, np.array([-0.7, np.nan])), t, np.arange(t.size))
     assert none is None
     assert one is not None
-    assert (one.hz, one.at) == (pytest.approx(-0.7, abs=0.002), 3.0)
+    assert (one.hz, one.at_s) == (pytest.approx(-0.7, abs=0.002), 3.0)
     assert one.phase_turns == pytest.approx(0.3, abs=0.03)
     assert one.wander_turns == pytest.approx(0.05 / np.sqrt(2.0), rel=0.15)
