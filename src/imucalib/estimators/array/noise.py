@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.estimators.array.samples import Sampled
+from imucalib.estimators.array.samples import Pair, Sampled
 
 _NU = (3.0, 4.0, 6.0, 10.0, 25.0)
 _GROWTH = (0.3, 0.7, 1.5, 3.0, 7.0, 20.0)
@@ -76,6 +76,13 @@ class MotionNoise:
         if not np.isfinite(self.freedom):
             return 1.0
         return (self.freedom + 3.0) / (self.freedom + 5.0)
+
+
+def weigh(noise: tuple[MotionNoise, MotionNoise], off: Pair, rate: Array) -> Pair:
+    """Weights (n, K) of readings with residuals off (n, K, 3), turning by rate (n, 3) rad/s."""
+    speed = np.linalg.norm(rate, axis=1)
+    square = (np.sum(own**2, axis=2) for own in off)
+    return Pair(*(one.weight(d, speed) for one, d in zip(noise, square, strict=True)))
 
 
 def log_density(noise: MotionNoise, square: Squares, speed: Array) -> Array:

@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array, Flags, Index
+from imucalib.core.course import bends_of, slope_of
 from imucalib.core.effect import cross_matrix
 from imucalib.core.eigen import eigen
 
@@ -74,14 +75,30 @@ class Sampled:
     @cached_property
     def arms(self) -> Array:
         """(T, K, 3, 9) derivative of the forces by s, dω/dt, ω."""
-        slope = slope_of(self.rate).reshape(-1, 3, 4, 9)
+        slope = slope_by_motion(self.rate).reshape(-1, 3, 4, 9)
         return np.asarray(np.einsum("ka,tiaj->tkij", places(self.r)[0], slope))
+
+    def jerk(self, t: Array, beside: Flags) -> Array:
+        """(T, K, 3) m/s³ of the forces by the motion of the neighbours, zero where a sample has
+        none. How the board turns is known with its derivative, the force amid the IMUs is not: only
+        there are differences all that there is.
+
+        t : (T,) s; beside : (T, 2) whether the sample before and the one after are neighbours
+        """
+        bend, _ = bends_of(self.rate, self.spin, t, beside)
+        amid = np.mean(self.r, axis=0)
+        common = slope_of(self.origin + self.turn @ amid, t, beside)
+        mixed = self.rate[:, :, None] * self.spin[:, None]
+        trace = 2.0 * np.sum(self.rate * self.spin, axis=1)[:, None, None] * np.eye(3)
+        turning = mixed + mixed.transpose(0, 2, 1) - trace + cross_matrix(bend)  # dW/dt
+        turning *= np.any(beside, axis=1)[:, None, None]
+        return np.asarray(common[:, None] + (self.r - amid) @ turning.transpose(0, 2, 1))
 
     @cached_property
     def kept(self) -> tuple[Kept, Kept]:
         """What the motion leaves of the errors of accelerometers and of gyros."""
         t, pairs = len(self.rate), places(self.r)[1]
-        reach = np.matmul(slope_of(self.rate), self.root)
+        reach = np.matmul(slope_by_motion(self.rate), self.root)
         moved = np.matmul(reach, reach.transpose(0, 2, 1)).reshape(t, 3, 4, 3, 4)
         moved = moved.transpose(0, 1, 3, 2, 4).reshape(t, 9, 16) @ pairs.T
         turned = self.root[:, 6:] @ self.root[:, 6:].transpose(0, 2, 1)
@@ -118,14 +135,7 @@ def turning(rate: Array, spin: Array) -> Array:
     return np.asarray(square - trace + cross_matrix(spin))
 
 
-def turning_slope(rate: Array, spin: Array, bend: Array) -> Array:
-    """(T, 3, 3) dW/dt, of bend d²ω/dt² (T, 3) rad/s³."""
-    mixed = rate[:, :, None] * spin[:, None]
-    trace = 2.0 * np.sum(rate * spin, axis=1)[:, None, None] * np.eye(3)
-    return np.asarray(mixed + mixed.transpose(0, 2, 1) - trace + cross_matrix(bend))
-
-
-def slope_of(rate: Array) -> Array:
+def slope_by_motion(rate: Array) -> Array:
     """(T, 12, 9) derivative of (s, W), row by row, by s, dω/dt and ω."""
     out = np.zeros((len(rate), 3, 4, 9))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
@@ -181,7 +191,7 @@ class Information:
     def roots(self, rate: Array, rows: Index | slice = slice(None)) -> Array:
         """(n, 9, 9) with root rootᵀ the covariance of the nine of some samples that turn by rate
         (n, 3)."""
-        slope = slope_of(rate)
+        slope = slope_by_motion(rate)
         matrix = np.matmul(slope.transpose(0, 2, 1), np.matmul(self.normal[rows], slope))
         matrix[:, 3:, 3:] += self.own[rows]
         with np.errstate(invalid="ignore"):
@@ -201,7 +211,7 @@ class Information:
             root[rows] = own = self.roots(at[:, 6:], rows)
             state = np.concatenate([at[:, :3, None], turning(at[:, 6:], at[:, 3:6])], axis=2)
             off = self.along[rows] - np.matmul(self.normal[rows], state.reshape(-1, 12, 1))[..., 0]
-            right = np.matmul(off[:, None], slope_of(at[:, 6:]))
+            right = np.matmul(off[:, None], slope_by_motion(at[:, 6:]))
             right[:, 0, 3:] += self.pull[rows]
             right[:, 0, 3:] -= np.matmul(self.own[rows], at[:, 3:, None])[..., 0]
             step = np.matmul(own, np.matmul(right, own).swapaxes(1, 2))[..., 0]

@@ -33,7 +33,7 @@ from imucalib.core.eigen import eigen
 from imucalib.effects import known
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.array.fusion import FusedMotion, Sensed
-from imucalib.estimators.array.samples import Pair, slope_of, turning
+from imucalib.estimators.array.samples import Pair, slope_by_motion, turning
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 _AGE = "sample_age"
@@ -270,7 +270,7 @@ def _answers(motion: FusedMotion, sensed: Sensed, r: Array) -> Pair:
     """(T, K, 9, 3) what a reading's error does to the motion, of accelerometers and of gyros."""
     t, k = sensed.force.shape[:2]
     place = np.concatenate([np.ones((k, 1)), r], axis=1)
-    slope = slope_of(motion.rate).reshape(t, 3, 4, 9).transpose(0, 1, 3, 2)
+    slope = slope_by_motion(motion.rate).reshape(t, 3, 4, 9).transpose(0, 1, 3, 2)
     arms = np.matmul(slope, place.T).transpose(0, 3, 2, 1)  # (T, K, 9, 3)
     whole = motion.covariance[:, None]
     force = np.matmul(whole, np.matmul(arms, sensed.force_precision))

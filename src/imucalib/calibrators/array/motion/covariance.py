@@ -12,9 +12,9 @@ from imucalib.calibrators.array.motion.state import (
     ArrayState,
     measure_dispersion,
     subtract_terms,
-    weigh,
 )
 from imucalib.core.eigen import eigen
+from imucalib.estimators.array.noise import weigh
 from imucalib.estimators.array.samples import (
     Columns,
     Sampled,

@@ -23,13 +23,13 @@ from imucalib.calibrators.array.motion.terms import (
     lag_motion,
     select_lagging,
 )
-from imucalib.core.course import bends_of, slope_of
 from imucalib.estimators.array.noise import (
     MotionNoise,
     Squares,
     choose_noise,
     not_followed,
     rescale,
+    weigh,
 )
 from imucalib.estimators.array.sample_age import SampleAge
 from imucalib.estimators.array.samples import (
@@ -42,7 +42,6 @@ from imucalib.estimators.array.samples import (
     gram,
     inverse_root,
     project_out_motion,
-    turning_slope,
 )
 from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.posterior.odds import CERTAIN
@@ -196,19 +195,9 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
 def motion_at(
     setup: Setup, sampled: Sampled, age: Array | None, *, courses: bool = False
 ) -> BoardMotion:
-    """The fitted motion as effects have it; its jerk by the motion of the neighbours, zero where a
-    sample has none. How the board turns is known with its derivative, the force amid the IMUs is
-    not: only there are differences all that there is.
-
-    courses : whether sensors may lag
-    """
+    """The fitted motion as effects have it. courses : whether sensors may lag"""
     follows = np.diff(setup.t) < _NEXT * setup.moving.interval
     sides = np.column_stack([np.append(False, follows), np.append(follows, False)])
-    bend, _ = bends_of(sampled.rate, sampled.spin, setup.t, sides)
-    amid = np.mean(sampled.r, axis=0)
-    common = slope_of(sampled.origin + sampled.turn @ amid, setup.t, sides)
-    turning = turning_slope(sampled.rate, sampled.spin, bend) * np.any(sides, axis=1)[:, None, None]
-    jerk = common[:, None] + (sampled.r - amid) @ turning.transpose(0, 2, 1)
     found = board_motion(
         setup.board,
         setup.t,
@@ -216,7 +205,7 @@ def motion_at(
         rate=sampled.rate,
         spin=sampled.spin,
         force=sampled.force,
-        jerk=jerk,
+        jerk=sampled.jerk(setup.t, sides),
         age=age,
     )
     return found.set_courses(sides) if courses else found
@@ -330,13 +319,6 @@ def update_motion(
         state.setup, sampled, state.motion.age, courses=bool(select_lagging(state.terms))
     )
     return replace(state, sampled=sampled, motion=lag_motion(state.terms, motion))
-
-
-def weigh(noise: tuple[MotionNoise, MotionNoise], off: Pair, rate: Array) -> Pair:
-    """Weights (n, K) of readings with residuals off (n, K, 3), turning by rate (n, 3) rad/s."""
-    speed = np.linalg.norm(rate, axis=1)
-    square = (np.sum(own**2, axis=2) for own in off)
-    return Pair(*(one.weight(d, speed) for one, d in zip(noise, square, strict=True)))
 
 
 def refit_motion(state: ArrayState, rounds: int) -> ArrayState:
