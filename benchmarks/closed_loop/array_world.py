@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from trial import Job, Trial, noise, said
 
 from imucalib.calibrators.array.board.board import read_board
-from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.log import array_log, of_board
 from imucalib.calibrators.array.board.moving import find_moving
 from imucalib.calibrators.array.board.rests import fit_rests
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
+from imucalib.calibrators.array.motion.laws import array_catalogue
 from imucalib.calibrators.array.motion.search import add_declared, new_term, own_gram
 from imucalib.calibrators.array.motion.setup import Setup, array_setup
 from imucalib.calibrators.array.motion.state import ArrayState, start_state

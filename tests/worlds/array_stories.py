@@ -6,11 +6,11 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import Board, read_board
-from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.log import array_log
 from imucalib.calibrators.array.board.moving import Moving, find_moving
 from imucalib.calibrators.array.board.rests import RestFit, fit_rests
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
+from imucalib.calibrators.array.motion.laws import array_catalogue
 from imucalib.calibrators.array.motion.setup import array_setup
 from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulate_motion

@@ -17,7 +17,6 @@ from imucalib.calibration.calibration import stored_parameters
 from imucalib.calibration.findings import Findings, Gain, Untestable, findings_of
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Left
 from imucalib.calibration.triads import triangle
-from imucalib.calibrators.array.board.catalogue import AT_REST, array_catalogue
 from imucalib.calibrators.array.board.rests import BASE, RestFit
 from imucalib.calibrators.array.motion.ages import beats
 from imucalib.calibrators.array.motion.closed_loop import (
@@ -27,6 +26,7 @@ from imucalib.calibrators.array.motion.closed_loop import (
     size_in_words,
 )
 from imucalib.calibrators.array.motion.covariance import Uneven
+from imucalib.calibrators.array.motion.laws import AT_REST, array_catalogue
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.motion.terms import Term, typical_of
 from imucalib.calibrators.array.request import Accepted

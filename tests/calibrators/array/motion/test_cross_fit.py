@@ -9,11 +9,11 @@ import pytest
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import undrawn_board
-from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.moving import Moving
 from imucalib.calibrators.array.board.rests import RestFit
 from imucalib.calibrators.array.motion.ages import beats, estimate_clock, find_voting
 from imucalib.calibrators.array.motion.closed_loop import Gained, difference_of_medians
+from imucalib.calibrators.array.motion.laws import array_catalogue
 from imucalib.calibrators.array.motion.setup import Setup, array_setup, part_of
 from imucalib.calibrators.array.motion.state import start_state
 from imucalib.calibrators.array.motion.terms import (

@@ -7,8 +7,8 @@ import pytest
 
 from gates.bounds import at_most
 from imucalib.calibrators.array.board.board import Board
-from imucalib.calibrators.array.board.catalogue import array_catalogue, find_effect, find_skipped
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop
+from imucalib.calibrators.array.motion.laws import array_catalogue, find_effect, find_skipped
 from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.calibrators.request import Request
 from imucalib.errors import UsageError

@@ -20,7 +20,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad, effect_covariance
-from imucalib.calibrators.array.board.catalogue import AT_REST
+from imucalib.calibrators.array.motion.laws import AT_REST
 from imucalib.calibrators.array.motion.terms import (
     BoardMotion,
     Mounted,

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.board.catalogue import AT_REST
 from imucalib.calibrators.array.board.rests import ATTITUDES, RestFit, is_contradicted
 from imucalib.calibrators.array.motion.ages import (
     add_clock,
@@ -18,7 +17,7 @@ from imucalib.calibrators.array.motion.ages import (
     find_voting,
 )
 from imucalib.calibrators.array.motion.covariance import add_unevenness
-from imucalib.calibrators.array.motion.laws import CURVE
+from imucalib.calibrators.array.motion.laws import AT_REST, CURVE
 from imucalib.calibrators.array.motion.search import (
     GYRO_FRAME,
     MotionSearch,

@@ -21,14 +21,14 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.board.catalogue import (
+from imucalib.calibrators.array.motion.ages import add_estimated_clock, add_phases
+from imucalib.calibrators.array.motion.laws import (
     array_catalogue,
+    candidates_of,
     find_effect,
     find_skipped,
     twins_of,
 )
-from imucalib.calibrators.array.motion.ages import add_estimated_clock, add_phases
-from imucalib.calibrators.array.motion.laws import candidates_of
 from imucalib.calibrators.array.motion.setup import select_searched
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
