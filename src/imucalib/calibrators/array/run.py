@@ -46,23 +46,8 @@ from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, STANDARD_GRAVITY
 
-#: Blocks of report.json that the YAML has, too.
-_SHARED = (
-    "board",
-    "reference",
-    "reference_mm",
-    "ranges",
-    "sample_interval_s",
-    "positions_mm",
-    "size",
-    "gyro_scale",
-    "frame",
-    "rests",
-    "residual_in_motion",
-    "effects",
-    "not_undone",
-    "diagnostics",
-)
+#: Blocks of report.json that the YAML has not.
+_OF_REPORT = ("distances_mm", "moving", "noise")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +135,7 @@ def finish_run(made: LocatedBoard) -> ArrayRun:
         made.total,
         made.board.imus,
         gravity=rests.gravity,
-        facts={name: details[name] for name in _SHARED},
+        facts={name: block for name, block in details.items() if name not in _OF_REPORT},
         triads=tuple(_triads(made)),
     )
     return ArrayRun(outcome=outcome, calibration=calibration, details=details, **vars(made))
@@ -240,12 +225,6 @@ def _details(made: LocatedBoard) -> dict[str, Any]:
         **instrument_block(board, made.moving.interval),
         "positions_mm": position_rows(board, total),
         **size_block(total, made.gyros, board),
-        "residual_in_motion": {
-            "accelerometers_m_per_s2": residual.acceleration,
-            "gyros_deg_per_s": residual.rate / DEG,
-            "held_out": residual.held_out,
-        },
-        "diagnostics": _diagnostics(made),
         "rests": {
             "count": rests.poses,
             "residual_m_per_s2": rests.residual,
@@ -253,12 +232,18 @@ def _details(made: LocatedBoard) -> dict[str, Any]:
             "verdict": rests.loop.verdict if rests.loop else "not run",
             **_drift_of(rests, board),
         },
-        "moving": dict(made.moving.counts),
+        "residual_in_motion": {
+            "accelerometers_m_per_s2": residual.acceleration,
+            "gyros_deg_per_s": residual.rate / DEG,
+            "held_out": residual.held_out,
+        },
+        "effects": rest_blocks(rests),
         "not_undone": [
             {"effect": name, "rms": rms, "unit": unit}
             for name, rms, unit in (*drift, *made.linear.beyond)
         ],
-        "effects": rest_blocks(rests),
+        "diagnostics": _diagnostics(made),
+        "moving": dict(made.moving.counts),
     }
     if made.loop is not None:
         details["effects"] += effect_blocks(made.loop)

@@ -27,6 +27,7 @@ from imucalib.calibrators.array.motion.terms import (
     Term,
     board_motion,
     evaluate_lags,
+    gain_and_offset,
 )
 from imucalib.core.effect import MOTION, Response, cross_matrix
 from imucalib.core.eigen import eigen
@@ -233,11 +234,7 @@ class Doubt:
         moved = np.matmul(force, turning(motion.rate, motion.spin)[:, None])  # by a place
         across = moved.transpose(0, 2, 1, 3).reshape(-1, 9, 3 * len(r))
         out = np.matmul(across @ self.places, across.transpose(0, 2, 1))
-        felt = motion.predict_force(r)
-        own = np.zeros((*felt.shape, 12))  # by a triad's gain and bias
-        for i in range(3):
-            own[..., i, 3 * i : 3 * i + 3], own[..., i, 9 + i] = felt, 1.0
-        by = np.matmul(force, own)
+        by = np.matmul(force, gain_and_offset(motion.predict_force(r)))
         out += np.matmul(by @ self.triads, by.swapaxes(2, 3)).sum(axis=1)
         for term, root in self.effects:
             gain = rate if term.gyro else force

@@ -320,7 +320,7 @@ def rest_terms(rests: RestFit) -> tuple[Term, ...]:
     gains = vectors * np.sqrt(np.maximum(values, 0.0))
     offsets = back.reshape(3 * k, 3 * k) * rests.gyro_bias_sd.ravel()
     return (
-        _of_rests("rests", "acceleration", _gain_and_offset, gains),
+        _of_rests("rests", "acceleration", lambda truth, _: gain_and_offset(truth.force), gains),
         _of_rests("rests_gyro", "angular_rate", _offset, offsets),
     )
 
@@ -334,12 +334,11 @@ def _of_rests(name: str, channel: Channel, basis: Basis, live: Array) -> Term:
     return Term(name, effect, None, live, np.zeros(n), np.ones(n), found=False)
 
 
-def _gain_and_offset(truth: Truth, context: Context) -> Array:
-    out = np.zeros((*truth.shape, 12))
-    for i in range(3):
-        out[..., i, 3 * i : 3 * i + 3] = truth.force
-        out[..., i, 9 + i] = 1.0
-    return out
+def gain_and_offset(force: Array) -> Array:
+    """(T, K, 3, 12) derivative of readings of forces (T, K, 3) by gain, rows first, and offset."""
+    each = np.broadcast_to(np.eye(3), (*force.shape, 3))
+    gains = np.einsum("...ij,...l->...ijl", each, force).reshape(*force.shape, 9)
+    return np.concatenate([gains, each], axis=3)
 
 
 def _offset(truth: Truth, context: Context) -> Array:
