@@ -18,10 +18,7 @@ from imucalib.calibrators.array.board.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.board.moving import Moving, find_moving
 from imucalib.calibrators.array.board.rests import RestFit, fit_rests
 from imucalib.calibrators.array.board.streams import (
-    find_broken,
     noisy_alone,
-    refuse_streams,
-    stream_notes,
     streams,
 )
 from imucalib.calibrators.array.board.turns import scale_by_turns
@@ -138,10 +135,10 @@ def _prepare(recording: Recording, request: ArrayRequest, say: Say) -> tuple[Pre
         log, segments = array_log(recording, board), still_segments(recording, request.still)
     seen = streams(log)
     if not request.as_drawn:
-        refuse_streams(seen, board.imus, log.interval)
+        seen.refuse_late(board.imus, log.interval)
         refuse_contradiction(check_board(log, segments, board), request.agreeing)
     log = replace(log, clipped=log.clipped | seen.held)
-    notes = (*recording.notes, *segments.notes, *log.notes, *stream_notes(seen))
+    notes = (*recording.notes, *segments.notes, *log.notes, *seen.notes)
     # What the recording is called and how long it is, but no readings.
     channels = {
         name: replace(c, values=np.broadcast_to(np.nan, c.values.shape))
@@ -153,7 +150,7 @@ def _prepare(recording: Recording, request: ArrayRequest, say: Say) -> tuple[Pre
         request=request,
         segments=segments,
         notes=notes,
-        broken=tuple(find_broken(seen, board.imus)),
+        broken=tuple(seen.find_broken(board.imus)),
     )
     return prepared, log
 
