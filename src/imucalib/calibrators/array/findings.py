@@ -168,8 +168,7 @@ def _noisy(
 
 def array_findings(loop: MotionLoop) -> Findings:
     """The search as all calibrators report it."""
-    final = {term.name: term for term in loop.final.found}
-    sizes = {name: size_in_words(loop.final, term) for name, term in final.items()}
+    sizes = {term.name: size_in_words(loop.final, term) for term in loop.final.found}
     # Of what the final model does not hold, as it was accepted.
     steps = (replace(step, size=sizes.get(step.effect, step.size)) for step in loop.steps)
     return findings_of(

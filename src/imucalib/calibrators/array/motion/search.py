@@ -288,9 +288,15 @@ def search_posterior(
     if whole is not None:
         start = _take_in(start, whole.chosen, request, None) or start
 
+    scores, impact = list[tuple[Score, ...]](), dict[str, float]()
+
     def search(held: _Held) -> SelectedModel[MotionProblem]:
         problem, grams = products(held.state, skipped, declared, among)
-        return select_model(problem, hill_climb(problem, grams, problem.picks(held.state)))
+        found = select_model(problem, hill_climb(problem, grams, problem.picks(held.state)))
+        if not scores:
+            scores.append(problem.score(found.posterior))
+            impact.update(problem.absorbed)
+        return found
 
     def take_in(held: _Held, said: SelectedModel[MotionProblem]) -> tuple[_Held, bool] | None:
         chosen = said.problem.of_set(said.hypothesis)
@@ -302,7 +308,7 @@ def search_posterior(
         away = said.problem.shortfall(said.posterior, said.hypothesis, grown.state)
         away += _noise_gain(held.state.noise, grown.state)
         same = _list_names(said) == grown.names.difference(declared)
-        return replace(grown, first=held.first or _first(said)), same and away < _SETTLED
+        return grown, same and away < _SETTLED
 
     settled = search_until_settled(
         start,
@@ -313,13 +319,12 @@ def search_posterior(
         rounds=SEARCHES,
     )
     held, said = settled.state, settled.found
-    scores, impact = held.first or _first(said)
     lost = _list_names(said).difference(held.names) if settled.refused else ()
     return MotionSearch(
         state=held.state,
         shares=held.shares,
         said=said,
-        scores=scores,
+        scores=scores[0],
         impact=impact,
         rejected=tuple((name, DIVERGED) for name in sorted(lost)),
     )
@@ -327,20 +332,15 @@ def search_posterior(
 
 @dataclass(frozen=True)
 class _Held:
-    """A fitted state, the shares of twins in it, and of the first search its scores and impact."""
+    """A fitted state, and the shares of twins in it."""
 
     state: ArrayState
     shares: Shares
-    first: tuple[tuple[Score, ...], dict[str, float]] | None = None
 
     @property
     def names(self) -> frozenset[str]:
         """Of the effects that it holds."""
         return frozenset(term.name for term in self.state.found)
-
-
-def _first(said: SelectedModel[MotionProblem]) -> tuple[tuple[Score, ...], dict[str, float]]:
-    return said.problem.score(said.posterior), said.problem.absorbed
 
 
 def _list_names(said: SelectedModel[MotionProblem]) -> frozenset[str]:
