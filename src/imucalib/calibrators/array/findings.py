@@ -128,7 +128,7 @@ def reasons(loop: MotionLoop | None, left: tuple[Left, ...]) -> tuple[str, ...]:
 def advice(loop: MotionLoop, rests: RestFit) -> tuple[str, ...]:
     """IMUs with an effect of their own, and chips that are noisier in motion than their neighbours,
     with what they are at rest."""
-    imus, stills = loop.final.setup.imus, (rests.noise, rests.gyro_noise)
+    imus, stills = loop.final.setup.board.imus, (rests.noise, rests.gyro_noise)
     every = zip(SENSORS, loop.final.noise, stills, strict=True)
     return (*_alone(loop), *(word for own in every for word in _noisy(imus, *own)))
 
@@ -330,7 +330,7 @@ def parameters_of(loop: MotionLoop, term: Term) -> Iterator[StoredParameter]:
     """Values and standard deviations of a found effect."""
     state = loop.final
     for p, value, sd in zip(
-        term.parameters(state.setup.imus), term.theta, state.sd_of(term), strict=True
+        term.parameters(state.setup.board.imus), term.theta, state.sd_of(term), strict=True
     ):
         yield StoredParameter(p.name, term.name, "sensor", float(value), float(sd), p.unit)
 
@@ -343,7 +343,7 @@ def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
     return {
         "beats": [
             None if beat is None else {"imu": imu, **vars(beat)}
-            for imu, beat in zip(setup.imus, beats(clock, setup.t, setup.rows), strict=True)
+            for imu, beat in zip(setup.board.imus, beats(clock, setup.t, setup.rows), strict=True)
         ]
     }
 
@@ -371,7 +371,10 @@ class LinearPart:
 def linear_part(state: ArrayState) -> LinearPart:
     """The linear part of all found effects, in the middle of the motion."""
     setup, motion, beyond = state.setup, state.motion, []
-    gains, offsets = np.tile(np.eye(3), (2, setup.triads, 1, 1)), np.zeros((2, setup.triads, 3))
+    gains, offsets = (
+        np.tile(np.eye(3), (2, setup.board.count, 1, 1)),
+        np.zeros((2, setup.board.count, 3)),
+    )
     middle = float(np.median(setup.t))
     for term in state.found:
         gain, offset = term.slope_at_rest(setup.board, middle)

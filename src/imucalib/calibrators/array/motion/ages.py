@@ -101,7 +101,7 @@ def add_phases(state: ArrayState) -> ArrayState:
     if len(rest) < len(state.terms):
         return state
     effect = phases_of(clock)
-    n = state.setup.triads * len(effect.each)
+    n = state.setup.board.count * len(effect.each)
     term = Term(effect.name, effect, None, PHASE * np.eye(n), np.zeros(n), np.ones(n), found=False)
     return replace(state, terms=(*rest, term))
 
@@ -124,7 +124,7 @@ def phases_of(clock: Response) -> Response:
 def _everywhere(state: ArrayState, rows: Index) -> tuple[Array, Array]:
     """(N, K, 3) gyro residuals and (N, 3) dω/dt at some samples, with the clocks still in them, and
     zero elsewhere."""
-    n, k = len(state.setup.moving.t), state.setup.triads
+    n, k = len(state.setup.moving.t), state.setup.board.count
     off, spin = np.zeros((n, k, 3)), np.zeros((n, 3))
     some = max(_READINGS // k, 1)
     for a in range(0, len(rows), some):  # of many IMUs the columns of all samples would be large

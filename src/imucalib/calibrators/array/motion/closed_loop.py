@@ -228,7 +228,7 @@ def _on_all(state: ArrayState, most: int | None) -> ArrayState:
 
 def size_in_words(state: ArrayState, term: Term) -> str:
     """The one value with its deviation, or the rms of many."""
-    parameters = term.parameters(state.setup.imus)
+    parameters = term.parameters(state.setup.board.imus)
     unit = parameters[0].unit
     if len(parameters) == 1:
         return plus_minus(float(term.theta[0]), float(state.sd_of(term)[0]), unit)

@@ -1,4 +1,4 @@
-"""The covariance that positions are stated with, and the fit of every sample behind it."""
+"""The covariance that positions are stated with, and where parts of a motion do not agree on it."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from imucalib.estimators.array.samples import (
     Columns,
     Sampled,
     fit_samples,
+    gradient,
     gram,
     inverse_root,
     reweigh,
@@ -132,9 +133,14 @@ def information(state: ArrayState) -> tuple[float, float]:
     weights = weigh(state.noise, state.sampled.off.take(rows), state.sampled.rate[rows])
     first = fit_samples(readings, weights, r, state.sampled.rate[rows])
     start = at(np.zeros(2 * count), first)
-    bases = (np.broadcast_to(x, (len(r), len(rows), 3, 3)) for x in (start.turn, np.eye(3)))
-    blocks = [Columns(np.asarray(b), bool(gyro), False) for gyro, b in enumerate(bases)]
-    whole = gram(start, blocks, np.arange(len(rows))).matrix
+    every = np.arange(len(rows))
+
+    def columns(found: Sampled) -> list[Columns]:
+        """Of all positions and gyro offsets."""
+        bases = (np.broadcast_to(x, (len(r), len(rows), 3, 3)) for x in (found.turn, np.eye(3)))
+        return [Columns(np.asarray(b), bool(gyro), False) for gyro, b in enumerate(bases)]
+
+    whole = gram(start, columns(start), every).matrix
 
     def share(which: Index) -> float:
         """Mean over directions that weigh alike, by one shift of all of them and back."""
@@ -144,19 +150,13 @@ def information(state: ArrayState) -> tuple[float, float]:
         signs = np.where(np.arange(int(seen.sum())) % 2, -1.0, 1.0)
         shift = np.zeros(2 * count)
         shift[which] = _SHIFT * (vectors[:, seen] / np.sqrt(values[seen])) @ signs
-        answer = 0.5 * (_score(at(-shift, start)) - _score(at(shift, start)))
+        less, more = at(-shift, start), at(shift, start)
+        one, two = (gradient(found, columns(found), every) for found in (less, more))
+        answer = 0.5 * (one - two)
         size = shift[which] @ own @ shift[which]
         return float(np.clip(shift @ answer / size, _LEAST, 1.0))
 
     return share(np.arange(3, count)), share(np.arange(count, 2 * count))
-
-
-def _score(found: Sampled) -> Array:
-    """(6 K,) of all positions and gyro offsets."""
-    heavy = found.off.acceleration * found.weights.acceleration[..., None]
-    of_places = np.einsum("tij,tki->kj", found.turn, heavy)
-    of_offsets = np.einsum("tki,tk->ki", found.off.rate, found.weights.rate)
-    return np.concatenate([of_places.ravel(), of_offsets.ravel()])
 
 
 def sandwich(state: ArrayState) -> tuple[Array, Array, Array]:

@@ -173,7 +173,7 @@ class PositionDensity:
         base, inner = state.base, state.setup.inner
         self._turn, self._prior, self._r = base.turn, base.prior, state.r
         self._start = base.pull / base.prior
-        some = max(_READINGS // state.setup.triads, 1)
+        some = max(_READINGS // state.setup.board.count, 1)
         raw = self._turn @ self._follow
         self._parts = [
             _part_of(state, inner[a : a + some], raw) for a in range(0, len(inner), some)
@@ -239,7 +239,7 @@ class _Part:
 
 def _part_of(state: ArrayState, rows: Index, raw: Array) -> _Part:
     """raw : (R, d) steps of all columns a step of the positions."""
-    own, k = state.sampled.take(rows), state.setup.triads
+    own, k = state.sampled.take(rows), state.setup.board.count
     speed = np.linalg.norm(own.rate, axis=1)
     variances = (state.noise[0].variance(speed), state.noise[1].variance(speed))
     terms = list(_columns(state, rows, gyro=False)), list(_columns(state, rows, gyro=True))
@@ -297,7 +297,7 @@ def _columns(state: ArrayState, rows: Index, *, gyro: bool) -> Iterator[tuple[Ar
     blocks = state.base.blocks[1:]
     starts = np.cumsum([0, *(block.size for block in blocks)])
     mine = [(b, start) for b, start in zip(blocks, starts, strict=False) if b.gyro is gyro]
-    for triad in range(state.setup.triads):
+    for triad in range(state.setup.board.count):
         own = [b.basis[triad, rows].reshape(3 * len(rows), -1) for b, _ in mine]
         which = [start + b.of(triad) for b, start in mine]
         if own:

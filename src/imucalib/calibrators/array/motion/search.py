@@ -282,7 +282,7 @@ def search_posterior(
     request : declared effects stay in the model; whole : the search of a motion of which this is a
     part, which starts from what is told there
     """
-    skipped, declared = find_skipped(request, base.setup.imus), request.declare
+    skipped, declared = find_skipped(request, base.setup.board.imus), request.declare
     among = None if whole is None else whole.likely
     start = _Held(base, Shares())
     if whole is not None:
@@ -391,7 +391,7 @@ def add_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
     Raises UsageError for unknown names, Undetermined where the motion cannot carry one.
     """
     for name in names:
-        effect = find_effect(name, state.setup.imus)
+        effect = find_effect(name, state.setup.board.imus)
         if "sample_age" in effect.needs and state.motion.age is None:
             state = add_estimated_clock(state)
         reason = effect.missing(state.motion.context)
@@ -413,7 +413,7 @@ def new_term(state: ArrayState, name: str, effect: Effect) -> Term:
     """
     family, _, imu = name.partition("@")
     assert isinstance(effect, Response)
-    own, only = replace(effect, name=family), state.setup.imus.index(imu) if imu else None
+    own, only = replace(effect, name=family), state.setup.board.imus.index(imu) if imu else None
     return determine(name, own, only, own_gram(state, own, only), state.found)
 
 

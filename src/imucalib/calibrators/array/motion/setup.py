@@ -56,14 +56,6 @@ class Setup:
         """(T,) 0..1 over the motion."""
         return (self.t - self.start) / self.span
 
-    @property
-    def triads(self) -> int:
-        return self.board.count
-
-    @property
-    def imus(self) -> tuple[str, ...]:
-        return self.board.imus
-
 
 def array_setup(moving: Moving, board: Board, samples: int) -> Setup | None:
     """At most `samples` informative samples whose neighbours are informative too; None when
@@ -114,7 +106,7 @@ def _around(rows: Index) -> Index:
 def select_searched(setup: Setup) -> Index:
     """Which of the samples (inner,) a search looks at. Many IMUs have many columns and many
     readings a sample: fewer samples say as much."""
-    most = int(np.clip(_READINGS / setup.triads, _LEAST, _MOST))
+    most = int(np.clip(_READINGS / setup.board.count, _LEAST, _MOST))
     return np.linspace(0, len(setup.inner) - 1, min(most, len(setup.inner))).astype(np.intp)
 
 

@@ -137,7 +137,7 @@ class ArrayState:
     @property
     def positions(self) -> int:
         """How many coordinates are free."""
-        return 3 * (self.setup.triads - 1)
+        return 3 * (self.setup.board.count - 1)
 
     @cached_property
     def base(self) -> PositionBase:
@@ -176,7 +176,7 @@ class ArrayState:
 
 def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     """Fitted with the drawing and plain noise as the start."""
-    one = np.ones(setup.triads)
+    one = np.ones(setup.board.count)
     noise = MotionNoise(0.2, 0.0, np.inf, one), MotionNoise(5e-3, 0.0, np.inf, one)
     sampled = fit_motion_at(setup, setup.board.drawn, noise)
     drawn = ArrayState(
@@ -213,7 +213,7 @@ def motion_at(
 
 def fit_motion_at(setup: Setup, r: Array, noise: tuple[MotionNoise, MotionNoise]) -> Sampled:
     """The motion of samples for positions alone, each kind of sensor weighted by its size."""
-    ones = np.ones((len(setup.rows), setup.triads))
+    ones = np.ones((len(setup.rows), setup.board.count))
     weights = Pair(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
     return fit_samples(setup.readings, weights, r, np.median(setup.readings.rate, axis=1))
 
