@@ -128,6 +128,13 @@ def _keep(lost: Array) -> Kept:
     return Kept(np.maximum(whole / 3.0, floor), np.clip(whole**2 / square, 1.0, 3.0))
 
 
+def find_sides(t: Array, longest: float) -> Flags:
+    """(n, 2) whether the sample before and the one after are neighbours, at times t (n,) s of which
+    those that are no more than `longest` apart are next to each other."""
+    near = np.diff(t) < longest
+    return np.column_stack([np.append(False, near), np.append(near, False)])
+
+
 def turning(rate: Array, spin: Array) -> Array:
     """(T, 3, 3) W = Ω(ω)² + Ω(dω/dt)."""
     square = rate[:, :, None] * rate[:, None]

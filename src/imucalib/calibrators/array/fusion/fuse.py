@@ -18,7 +18,7 @@ from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.core.course import slope_of
 from imucalib.estimators.array.fusion import FusedMotion, Sensed, compute_precision, fuse_samples
 from imucalib.estimators.array.noise import ChipNoise
-from imucalib.estimators.array.samples import Pair
+from imucalib.estimators.array.samples import Pair, find_sides
 
 #: Times its range that a clipped rate is first thought to be; times that, where it led to an answer
 #: inside the range; weight of that guess; share of one gyro's say along an axis below which gyros
@@ -149,8 +149,8 @@ class _Rounds:
         self.late = instrument.beyond.late(self.t, None if age is None else np.nan_to_num(age))
         self.share = [np.ones((*shape, 1)), np.ones((*shape, 1))]
         self.motion: FusedMotion | None = None
-        near = find_adjoining(self.t)
-        self.beside = np.column_stack([np.append(False, near), np.append(near, False)])
+        usual = float(np.median(np.diff(self.t))) if len(self.t) > 1 else 0.0
+        self.beside = find_sides(self.t, _LOST * usual)
 
     def next(self, turn: int) -> None:
         """One more round."""
@@ -280,12 +280,6 @@ def _if_smooth(more: Array) -> Array | float:
     power = float(np.sum(more**2))
     goes_on = power > 0.0 and float(np.sum(more[1:] * more[:-1])) > _GOES_ON * power
     return more if goes_on else 0.0
-
-
-def find_adjoining(t: Array) -> Flags:
-    """(T - 1,) whether a sample and the next are neighbours, none being lost between them."""
-    step = np.diff(t)
-    return np.asarray(step < _LOST * np.median(step)) if step.size else np.zeros(0, np.bool_)
 
 
 _SLOW = 0.3  # share of the usual interval by which neighbours may be off

@@ -20,6 +20,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad, effect_covariance
+from imucalib.calibrators.array.board.log import NEAR_RANGE
 from imucalib.calibrators.array.motion.laws import AT_REST
 from imucalib.calibrators.array.motion.terms import (
     BoardMotion,
@@ -41,7 +42,6 @@ _AGE = "sample_age"
 _SMALL = 1e-9  # share of an effect beyond its linear part that is rounding
 _FLAT = 1e-12  # of the largest variance of an effect's parameters, below which it is rounding
 _FEWEST_CLOCKS = 3  # IMUs of which each one's clock shows beside the others'
-_AT_RANGE = 0.998  # share of the range from which a reading counts as clipped
 
 
 def along(axes: Array, vectors: Array) -> Array:
@@ -389,8 +389,8 @@ class Instrument:
     def find_clipped(self, read: Stretch) -> tuple[Flags, Flags]:
         """(T, K, 3) which readings are at the end of their range."""
         return (
-            np.asarray(np.abs(read.acceleration) >= _AT_RANGE * self.accelerometer_range),
-            np.asarray(np.abs(read.rate) >= _AT_RANGE * self.gyroscope_range),
+            np.asarray(np.abs(read.acceleration) >= NEAR_RANGE * self.accelerometer_range),
+            np.asarray(np.abs(read.rate) >= NEAR_RANGE * self.gyroscope_range),
         )
 
 

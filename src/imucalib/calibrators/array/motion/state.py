@@ -37,6 +37,7 @@ from imucalib.estimators.array.samples import (
     Gram,
     Pair,
     Sampled,
+    find_sides,
     fit_samples,
     gradient,
     gram,
@@ -196,8 +197,7 @@ def motion_at(
     setup: Setup, sampled: Sampled, age: Array | None, *, courses: bool = False
 ) -> BoardMotion:
     """The fitted motion as effects have it. courses : whether sensors may lag"""
-    follows = np.diff(setup.t) < _NEXT * setup.moving.interval
-    sides = np.column_stack([np.append(False, follows), np.append(follows, False)])
+    sides = find_sides(setup.t, _NEXT * setup.moving.interval)
     found = board_motion(
         setup.board,
         setup.t,
