@@ -10,9 +10,10 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.moving import Moving
-from imucalib.estimators.array.samples import Pair
+from imucalib.estimators.array.samples import Pair, find_sides
 
 _STRETCH = 16  # consecutive samples, so that neighbours are there for derivatives
+_NEXT = 1.3  # sample intervals from one to the next below which they are neighbours
 _BLOCK = 5.0  # s, parts of the motion that are held out together
 FEWEST = 60
 _READINGS, _LEAST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
@@ -50,6 +51,11 @@ class Setup:
     def t(self) -> Array:
         """(T,) s."""
         return self.moving.t[self.rows]
+
+    @cached_property
+    def sides(self) -> Flags:
+        """(T, 2) whether the sample before and the one after are neighbours."""
+        return find_sides(self.t, _NEXT * self.moving.interval)
 
     @property
     def order(self) -> Array:

@@ -37,7 +37,6 @@ from imucalib.estimators.array.samples import (
     Gram,
     Pair,
     Sampled,
-    find_sides,
     fit_samples,
     gradient,
     gram,
@@ -102,8 +101,6 @@ class PositionBase:
         return added
 
 
-#: Sample intervals from one neighbour to the next below which they are neighbours.
-_NEXT = 1.3
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
 #: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
 _ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.03
@@ -197,7 +194,7 @@ def motion_at(
     setup: Setup, sampled: Sampled, age: Array | None, *, courses: bool = False
 ) -> BoardMotion:
     """The fitted motion as effects have it. courses : whether sensors may lag"""
-    sides = find_sides(setup.t, _NEXT * setup.moving.interval)
+    jerk = sampled.jerk(setup.t, setup.sides)
     found = board_motion(
         setup.board,
         setup.t,
@@ -205,10 +202,10 @@ def motion_at(
         rate=sampled.rate,
         spin=sampled.spin,
         force=sampled.force,
-        jerk=sampled.jerk(setup.t, sides),
+        jerk=jerk,
         age=age,
     )
-    return found.set_courses(sides) if courses else found
+    return found.set_courses(setup.sides) if courses else found
 
 
 def fit_motion_at(setup: Setup, r: Array, noise: tuple[MotionNoise, MotionNoise]) -> Sampled:
