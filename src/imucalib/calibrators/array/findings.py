@@ -23,11 +23,10 @@ from imucalib.calibrators.array.motion.closed_loop import (
     NORMAL_MAD,
     Gained,
     MotionLoop,
-    size_in_words,
 )
 from imucalib.calibrators.array.motion.covariance import Uneven
 from imucalib.calibrators.array.motion.laws import AT_REST, array_catalogue
-from imucalib.calibrators.array.motion.state import ArrayState
+from imucalib.calibrators.array.motion.state import ArrayState, size_in_words
 from imucalib.calibrators.array.motion.terms import Term, typical_of
 from imucalib.calibrators.array.request import Accepted
 from imucalib.core.effect import Effect

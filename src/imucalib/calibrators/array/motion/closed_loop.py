@@ -17,7 +17,7 @@ from imucalib.calibrators.array.motion.ages import (
     find_voting,
 )
 from imucalib.calibrators.array.motion.covariance import add_unevenness
-from imucalib.calibrators.array.motion.laws import AT_REST, CURVE
+from imucalib.calibrators.array.motion.laws import AT_REST
 from imucalib.calibrators.array.motion.search import (
     GYRO_FRAME,
     MotionSearch,
@@ -48,9 +48,7 @@ from imucalib.posterior.closed_loop.found import (
     Unexplained,
 )
 from imucalib.posterior.held_out import Difference, difference
-from imucalib.posterior.odds import CERTAIN
 from imucalib.rests.segments import Segments
-from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG, MG
 
 #: Standard deviation of normal errors over their median absolute deviation.
@@ -169,8 +167,8 @@ def close_array_loop(
 
     base, final, found = search(setup)
     gained = cross_fitted(halved or setup, lambda half: search(half, found)[:2])
-    steps = steps_of(found, final, gained)
-    shifts = _find_unnamed(found, final)
+    steps = found.list_steps(final, () if gained is None else gained.checks)
+    shifts = found.find_unnamed(final)
     open_ends = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
     deciding = None if gained is None else gained.select_deciding(_sensors_that_show(final, steps))
     refused: tuple[tuple[str, str], ...] = ()
@@ -224,69 +222,6 @@ def _on_all(state: ArrayState, most: int | None) -> ArrayState:
     if clock is None:
         return state
     return settle_there(add_clock(moved, clock, voting=False))
-
-
-def size_in_words(state: ArrayState, term: Term) -> str:
-    """The one value with its deviation, or the rms of many."""
-    parameters = term.parameters(state.setup.board.imus)
-    unit = parameters[0].unit
-    if len(parameters) == 1:
-        return plus_minus(float(term.theta[0]), float(state.sd_of(term)[0]), unit)
-    if len(parameters) <= 3:
-        return f"{', '.join(f'{v:.3g}' for v in term.theta)} {unit}"
-    rms = float(np.sqrt(np.mean(term.theta**2)))
-    return f"{rms:.2g} {unit} rms, {term.live.shape[1]} of {len(parameters)} determined"
-
-
-def steps_of(found: MotionSearch, final: ArrayState, gained: Gained | None) -> tuple[Step, ...]:
-    """What is told and corrected, likeliest first; a place that twins share is theirs together.
-
-    final : the fit with what is corrected
-    """
-    steps = []
-    for place in found.said.places:
-        name = found.said.name(place.component)
-        twins = next((s for s in found.shares.values() if name in dict(s)), ((name, 1.0),))
-        term = next((t for t in final.found if t.name == twins[0][0]), None)
-        if term is None:
-            continue
-        rivals = [
-            (own, share * part)
-            for c, share in place.rivals
-            for own, part in (twins if c == place.component else ((found.said.name(c), 1.0),))
-        ]
-        likely = [r for r in rivals if r[1] > 1.0 - CERTAIN or r[0] == term.name]
-        ranked = sorted(likely, key=lambda r: -r[1])
-        checks, size = () if gained is None else gained.checks, size_in_words(final, term)
-        step = replace(
-            found.said.step(place, checks, ranked, size),
-            effect=term.name,
-            aliases=tuple(n for n, _ in likely if n != term.name),
-            certain=place.certain and twins[0][1] > CERTAIN,
-            curve="" if found.said.problem.is_named(name) else term.name.removeprefix(CURVE),
-            formula="",
-        )
-        steps.append(step)
-    return tuple(steps)
-
-
-def _find_unnamed(found: MotionSearch, final: ArrayState) -> dict[Unexplained, Array]:
-    """What is told and has no name, be it corrected or not: laws, and effects of which the data
-    determine no size; with the (d,) m by which each moves the positions, where it is not corrected.
-
-    final : the fit with what is corrected
-    """
-    shifts, own = {}, {term.name for term in final.found}
-    for place in found.said.places:
-        name = found.said.name(place.component)
-        if found.said.problem.is_named(name) and name in own:
-            continue
-        moved = found.said.problem.find_shift(
-            found.said.posterior, found.said.hypothesis, place.component
-        )
-        one = found.said.leave_unexplained(place)
-        shifts[one] = 0.0 * moved if name in own else moved
-    return shifts
 
 
 def _rest_steps(loop: FitLoop) -> Iterator[Step]:

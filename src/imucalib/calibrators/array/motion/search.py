@@ -23,6 +23,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.motion.ages import add_estimated_clock, add_phases
 from imucalib.calibrators.array.motion.laws import (
+    CURVE,
     array_catalogue,
     candidates_of,
     find_effect,
@@ -35,6 +36,7 @@ from imucalib.calibrators.array.motion.state import (
     PositionBase,
     fit_jointly,
     measure_dispersion,
+    size_in_words,
 )
 from imucalib.calibrators.array.motion.terms import (
     OPEN,
@@ -48,9 +50,9 @@ from imucalib.core.effect import Effect, Response
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.noise import MotionNoise, log_density
 from imucalib.estimators.array.samples import inverse_root, marginalize, reweigh
-from imucalib.posterior.closed_loop.found import Score
+from imucalib.posterior.closed_loop.found import CheckedError, Score, Step, Unexplained
 from imucalib.posterior.closed_loop.words import SelectedModel, of_each, scores_of, select_model
-from imucalib.posterior.odds import ABSORBED, FINE_SIZES, SEARCHES
+from imucalib.posterior.odds import ABSORBED, CERTAIN, FINE_SIZES, SEARCHES
 from imucalib.posterior.search.catalogue import Member, log_odds
 from imucalib.posterior.search.driver import search_until_settled
 from imucalib.posterior.search.gram import Grams, Multiplied
@@ -264,6 +266,56 @@ class MotionSearch:
         if known == {one.name for one in named} | (known & set(request.declare)):
             return self.state
         return fit_with_members(self.state, named, request)
+
+    def list_steps(self, final: ArrayState, checks: tuple[CheckedError, ...]) -> tuple[Step, ...]:
+        """What is told and corrected, likeliest first; a place that twins share is theirs together.
+
+        final : the fit with what is corrected; checks : errors before and after
+        """
+        steps = []
+        for place in self.said.places:
+            name = self.said.name(place.component)
+            twins = next((s for s in self.shares.values() if name in dict(s)), ((name, 1.0),))
+            term = next((t for t in final.found if t.name == twins[0][0]), None)
+            if term is None:
+                continue
+            rivals = [
+                (own, share * part)
+                for c, share in place.rivals
+                for own, part in (twins if c == place.component else ((self.said.name(c), 1.0),))
+            ]
+            likely = [r for r in rivals if r[1] > 1.0 - CERTAIN or r[0] == term.name]
+            ranked = sorted(likely, key=lambda r: -r[1])
+            size = size_in_words(final, term)
+            step = replace(
+                self.said.step(place, checks, ranked, size),
+                effect=term.name,
+                aliases=tuple(n for n, _ in likely if n != term.name),
+                certain=place.certain and twins[0][1] > CERTAIN,
+                curve="" if self.said.problem.is_named(name) else term.name.removeprefix(CURVE),
+                formula="",
+            )
+            steps.append(step)
+        return tuple(steps)
+
+    def find_unnamed(self, final: ArrayState) -> dict[Unexplained, Array]:
+        """What is told and has no name, be it corrected or not: laws, and effects of which the data
+        determine no size; with the (d,) m by which each moves the positions, where it is not
+        corrected.
+
+        final : the fit with what is corrected
+        """
+        shifts, own = {}, {term.name for term in final.found}
+        for place in self.said.places:
+            name = self.said.name(place.component)
+            if self.said.problem.is_named(name) and name in own:
+                continue
+            moved = self.said.problem.find_shift(
+                self.said.posterior, self.said.hypothesis, place.component
+            )
+            one = self.said.leave_unexplained(place)
+            shifts[one] = 0.0 * moved if name in own else moved
+        return shifts
 
     @property
     def likely(self) -> Odds:

@@ -45,6 +45,7 @@ from imucalib.estimators.array.samples import (
 )
 from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.posterior.odds import CERTAIN
+from imucalib.significant_digits import plus_minus
 
 #: Coordinates that a drawing's stated deviation counts as.
 _STATED = 3.0
@@ -170,6 +171,18 @@ class ArrayState:
         """(p, p) posterior covariance of a term's parameters."""
         own = self.slices[[other.name for other in self.terms].index(term.name)]
         return np.asarray(term.live @ self.covariance[own, own] @ term.live.T)
+
+
+def size_in_words(state: ArrayState, term: Term) -> str:
+    """The one value with its deviation, or the rms of many."""
+    parameters = term.parameters(state.setup.board.imus)
+    unit = parameters[0].unit
+    if len(parameters) == 1:
+        return plus_minus(float(term.theta[0]), float(state.sd_of(term)[0]), unit)
+    if len(parameters) <= 3:
+        return f"{', '.join(f'{v:.3g}' for v in term.theta)} {unit}"
+    rms = float(np.sqrt(np.mean(term.theta**2)))
+    return f"{rms:.2g} {unit} rms, {term.live.shape[1]} of {len(parameters)} determined"
 
 
 def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
