@@ -27,9 +27,9 @@ from fused import (
 
 from imucalib.calibrators.array.fusion.fuse import Fused
 from imucalib.calibrators.array.fusion.instrument import Instrument, Stretch
-from imucalib.calibrators.array.fusion.noise import ChipNoise
 from imucalib.calibrators.array.fusion.recording import fuse_stretch
 from imucalib.calibrators.array.fusion.survey import Survey, ages
+from imucalib.estimators.array.noise import ChipNoise
 
 CASES = {
     "Gaussian noise, one delay": (np.inf, False),

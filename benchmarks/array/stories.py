@@ -33,7 +33,7 @@ def story(name: str, seeds: int, samples: int) -> str:
         if effect != "sensing_elements":
             z.append(positions_z(found, true))
         assert found.gained is not None
-        off.append(found.gained.after.acceleration / found.gained.before.acceleration)
+        off.append(found.gained.acceleration.after / found.gained.acceleration.before)
     spread = f"{np.sqrt(np.mean(np.square(z))):.2f}" if z else "-"
     within = f"{100 * np.mean(np.abs(z) < 1.96):.0f} %" if z else "-"
     return (f"| {name} | {right} of {seeds} | {other} of {seeds} | {spread} | {within} | "

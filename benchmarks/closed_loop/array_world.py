@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from trial import Job, Trial, noise, said
 
 from imucalib.calibrators.array.board.board import read_board
-from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.log import array_log, of_board
 from imucalib.calibrators.array.board.moving import find_moving
 from imucalib.calibrators.array.board.rests import fit_rests
-from imucalib.calibrators.array.motion.board_motion import board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.motion.search import add_declared, new_term, own_gram, start_state
+from imucalib.calibrators.array.motion.laws import array_catalogue
+from imucalib.calibrators.array.motion.search import add_declared, new_term, own_gram
 from imucalib.calibrators.array.motion.setup import Setup, array_setup
-from imucalib.calibrators.array.motion.state import ArrayState
-from imucalib.calibrators.array.motion.terms import Term, rest_terms, typical_of
+from imucalib.calibrators.array.motion.state import ArrayState, start_state
+from imucalib.calibrators.array.motion.terms import Term, board_motion, rest_terms, typical_of
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulate_motion
+from imucalib.calibrators.request import Request
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
@@ -76,7 +76,7 @@ def trial(job: Job) -> Trial:
     log = _Log(job, np.random.default_rng(job.seed))
     setup, terms = _ready(log.recording)
     started = time.process_time()
-    loop = close_array_loop(setup, terms, curves=job.outside is not None)
+    loop = close_array_loop(setup, terms, Request(curves=job.outside is not None))
     seconds = time.process_time() - started
     strength: tuple[float, ...] = ()
     oracle = loop.base
@@ -117,7 +117,7 @@ class _Log:
         beats = rng.uniform(0.3, 3.0, k) * rng.choice([-1.0, 1.0], k)
         turns = t[:, None] * beats + rng.uniform(size=k)
         self.motion = board_motion(
-            imus=BOARD.imus, rotations=BOARD.rotations, t=t, order=order, rate=w, spin=spin,
+            BOARD, t, order=order, rate=w, spin=spin,
             force=felt, jerk=jerk, age=turns - np.floor(turns) - 0.5,
         )  # fmt: skip
         self.planted = {name: _drawn(name, size, rng) for name, size in job.effects}
@@ -130,7 +130,7 @@ class _Log:
                 one += late * self.moving[:, None, None]
                 continue
             term = Term(name, effect, None, np.eye(len(theta)), theta, np.ones(len(theta)))
-            add = term.reading(term.columns(self.motion)) * self.moving[:, None, None]
+            add = term.reading(self.motion) * self.moving[:, None, None]
             if effect.channel == "angular_rate":
                 rate += add
             else:
@@ -191,7 +191,7 @@ def _ready(recording: Recording) -> tuple[Setup, tuple[Term, ...]]:
     recording, board = of_board(recording, BOARD)
     segments = still_segments(recording)
     log = array_log(recording, board)
-    rests = fit_rests(segments, board, STANDARD_GRAVITY)
+    rests = fit_rests(segments, board, Request())
     setup = array_setup(find_moving(log, rests), board, SAMPLES)
     assert setup is not None
     return setup, rest_terms(rests)

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.estimators.array.published import algorithm
-from imucalib.estimators.array.published.algorithm import MonteCarloLikelihood, run_pmmh
-from imucalib.estimators.array.published.likelihood import DrawnPrior, log_likelihood
+from imucalib.estimators.array import published
+from imucalib.estimators.array.published import (
+    DrawnPrior,
+    MonteCarloLikelihood,
+    log_likelihood,
+    run_pmmh,
+)
 from imucalib.estimators.markov.convergence import convergence
 from worlds.array import corners, data_of, skew
 
@@ -99,8 +103,8 @@ class Normal:
 
 
 def test_the_run_keeps_every_draw_after_the_burn_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(algorithm, "_TUNING", 50)
-    monkeypatch.setattr(algorithm, "tune_count", lambda data, prior, rng: (Normal(0.2), 0.04))
+    monkeypatch.setattr(published, "_TUNING", 50)
+    monkeypatch.setattr(published, "tune_count", lambda data, prior, rng: (Normal(0.2), 0.04))
     prior = Normal().prior
     found = run_pmmh(None, prior, np.random.default_rng(3), iterations=1500, chains=4)  # type: ignore[arg-type]
     assert found.draws.shape == (4, 1500, 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.estimators.array.published.likelihood import ArrayData
+from imucalib.estimators.array.published import ArrayData
 from imucalib.units import DEG
 
 

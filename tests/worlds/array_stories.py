@@ -6,14 +6,15 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import Board, read_board
-from imucalib.calibrators.array.board.catalogue import array_catalogue
 from imucalib.calibrators.array.board.log import array_log
 from imucalib.calibrators.array.board.moving import Moving, find_moving
 from imucalib.calibrators.array.board.rests import RestFit, fit_rests
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
+from imucalib.calibrators.array.motion.laws import array_catalogue
 from imucalib.calibrators.array.motion.setup import array_setup
+from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulate_motion
+from imucalib.calibrators.request import Request
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from imucalib.units import DEG
@@ -56,8 +57,8 @@ def planted_log(name: str, seed: int, plan: LogPlan = PLAN, board: Board = BOARD
     beats = rng.uniform(0.3, 3.0, k) * rng.choice([-1.0, 1.0], k)
     turns = t[:, None] * beats + rng.uniform(size=k)
     motion = board_motion(
-        imus=board.imus, rotations=board.rotations, t=t, order=(t - t[0]) / np.ptp(t), rate=w,
-        spin=spin, force=felt, jerk=jerk, age=turns - np.floor(turns) - 0.5,
+        board, t, order=(t - t[0]) / np.ptp(t), rate=w, spin=spin,
+        force=felt, jerk=jerk, age=turns - np.floor(turns) - 0.5,
     )  # fmt: skip
     rate = np.repeat(w[:, None], k, axis=1)
     if effect:
@@ -106,7 +107,7 @@ def planted(
 def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, RestFit]:
     segments = still_segments(recording)
     log = array_log(recording, board)
-    rests = fit_rests(segments, board, 9.80665)
+    rests = fit_rests(segments, board, Request())
     return find_moving(log, rests), rests
 
 
@@ -116,7 +117,7 @@ def closed(recording: Recording, samples: int = 300, board: Board = BOARD) -> Mo
     moving, rests = moving_of(recording, board)
     setup = array_setup(moving, board, samples)
     assert setup is not None
-    return close_array_loop(setup, rest_terms(rests))
+    return close_array_loop(setup, rest_terms(rests), Request(curves=False))
 
 
 def named(found: MotionLoop) -> set[str]:

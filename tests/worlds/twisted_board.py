@@ -7,9 +7,8 @@ import numpy as np
 
 from imucalib.calibrators.array.board.board import Board, read_board
 from imucalib.calibrators.array.board.moving import Moving, relative_gyros
-from imucalib.calibrators.array.motion.search import start_state
 from imucalib.calibrators.array.motion.setup import array_setup
-from imucalib.calibrators.array.motion.state import ArrayState
+from imucalib.calibrators.array.motion.state import ArrayState, start_state
 from worlds.boards import DEG, BoardPlan, twisted
 
 BOARD = read_board("mimu4444_corners")

@@ -105,7 +105,7 @@ def command(logs: tuple[Path, ...], say: Say, **options: Any) -> list[Report]:
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.board.board import read_board
-    from imucalib.calibrators.array.board.catalogue import find_effect
+    from imucalib.calibrators.array.motion.laws import find_effect
     from imucalib.calibrators.array.request import Accepted, ArrayRequest
     from imucalib.errors import UsageError
     from imucalib.estimators.markov.crank_nicolson import Stop

@@ -6,9 +6,10 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import Board
+from imucalib.calibrators.array.board.turns import GyroScale
 from imucalib.calibrators.array.logs import BoardRun
 from imucalib.calibrators.array.motion.posterior import along, rank_directions, size_over
-from imucalib.calibrators.array.motion.total import GyroScale, Total
+from imucalib.calibrators.array.motion.total import Total
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.core.eigen import eigen

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.calibrators.array.motion.closed_loop import NORMAL_MAD
 from imucalib.calibrators.array.motion.covariance import sd_of_few
-from imucalib.calibrators.array.motion.cross_fit import NORMAL_MAD
 from imucalib.calibrators.array.motion.state import ArrayState
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.report.render.document import Plot, Series
@@ -160,7 +160,7 @@ def residual_plots(run: ArrayRun) -> list[Plot]:
         for what, unit, size, k in _SENSORS:
             series = [_noise(final, k, size)] if against.endswith("the rate") else []
             for name, state in (("before", base), ("after", final)):
-                off = (state.sampled.off.acceleration, state.sampled.off.rate)[k][state.setup.inner]
+                off = state.sampled.off[k][state.setup.inner]
                 if follow is not None:
                     series.append(Series(name, *_bin(follow(state), off, size), "points"))
                     continue

@@ -11,8 +11,8 @@ import pytest
 
 from imucalib.calibrators.array.board.board import Board, read_board, undrawn_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.motion.search import start_state
 from imucalib.calibrators.array.motion.setup import array_setup
+from imucalib.calibrators.array.motion.state import start_state
 from imucalib.calibrators.array.motion.terms import rest_terms
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
@@ -51,9 +51,9 @@ def _drawn(path: Path, places: list[str]) -> Path:
 
 def test_a_flat_drawing_and_a_line_are_read(tmp_path: Path) -> None:
     corners = ["0, 0, 1", "20, 0, 1", "0, 20, 1", "20, 20, 1"]
-    assert not read_board(_drawn(tmp_path / "flat.yaml", corners)).on_a_line
-    for line in (["0, 0, 0", "5, 5, 5", "7, 7, 7", "9, 9, 9"], ["0, 0, 0", "0, 2, 0"]):
-        assert read_board(_drawn(tmp_path / "line.yaml", line)).on_a_line
+    line, two = ["0, 0, 0", "5, 5, 5", "7, 7, 7", "9, 9, 9"], ["0, 0, 0", "0, 2, 0"]
+    for places in (corners, line, two):
+        assert read_board(_drawn(tmp_path / "drawn.yaml", places)).count == len(places)
     assert read_board("5").undrawn
     with pytest.raises(UsageError, match="two or more"):
         read_board("1")

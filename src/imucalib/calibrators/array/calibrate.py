@@ -16,50 +16,42 @@ from imucalib.calibrators.array.board.drawing import (
 )
 from imucalib.calibrators.array.board.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.board.moving import Moving, find_moving
-from imucalib.calibrators.array.board.rests import ATTITUDES, RestFit, fit_rests, is_contradicted
+from imucalib.calibrators.array.board.rests import RestFit, fit_rests
 from imucalib.calibrators.array.board.streams import (
-    find_broken,
     noisy_alone,
-    refuse_streams,
-    stream_notes,
     streams,
 )
-from imucalib.calibrators.array.findings import residual_in_motion
-from imucalib.calibrators.array.motion.board_motion import board_motion
+from imucalib.calibrators.array.board.turns import scale_by_turns
+from imucalib.calibrators.array.findings import linear_part, residual_in_motion
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop, close_array_loop
-from imucalib.calibrators.array.motion.covariance import (
-    add_unevenness,
+from imucalib.calibrators.array.motion.covariance import Uneven, add_unevenness
+from imucalib.calibrators.array.motion.posterior import (
+    PositionDraws,
+    draw_as_published,
+    draw_positions,
+)
+from imucalib.calibrators.array.motion.search import frame_term
+from imucalib.calibrators.array.motion.setup import array_setup, set_up
+from imucalib.calibrators.array.motion.state import (
+    ArrayState,
     fit_all_samples,
-    samples_used,
+    start_state,
 )
-from imucalib.calibrators.array.motion.effect_blocks import join_rests
-from imucalib.calibrators.array.motion.linear_part import linear_part
-from imucalib.calibrators.array.motion.posterior import draw_positions
-from imucalib.calibrators.array.motion.search import frame_term, start_state
-from imucalib.calibrators.array.motion.setup import array_setup, plain_setup
-from imucalib.calibrators.array.motion.state import measure_dispersion
 from imucalib.calibrators.array.motion.terms import rest_terms
-from imucalib.calibrators.array.motion.total import frame_sd, scale_by_turns, total_of
-from imucalib.calibrators.array.published import draw_as_published
+from imucalib.calibrators.array.motion.total import total_of
 from imucalib.calibrators.array.request import ArrayRequest
-from imucalib.calibrators.array.run import (
-    ArrayRun,
-    FittedLog,
-    LocatedBoard,
-    PreparedLog,
-    finish_run,
-)
-from imucalib.errors import Undetermined, UsageError
-from imucalib.posterior.closed_loop.found import Unexplained
+from imucalib.calibrators.array.run import ArrayRun, LocatedBoard, PreparedLog, finish_run
+from imucalib.errors import Undetermined
 from imucalib.recording.recording import Recording
 from imucalib.rests.candidates import refusals
 from imucalib.rests.segments import Segments, still_segments
 
 Say = Callable[[str], None]
-#: What is named beside a cause that the rests contradict.
-OTHER = "what shows in motion only"
 #: Of the drawing's prior_sd, from which a place is said to be off it.
 _FAR = 3.0
+#: Readings of one kind, samples times IMUs, that a fit takes where nobody says how many: beyond
+#: them memory and time grow, and positions are known far better than they repeat.
+READINGS = 60_000
 SEARCH_SAMPLES = 600  # moving samples on which effects are searched
 HALVED_SAMPLES = 800  # moving samples of which each half is searched again
 
@@ -71,75 +63,50 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     rests or the motion do not hold the answer or contradict the board, NotConverged when the
     chains disagree.
     """
-    if request.limits and not (request.loop or request.declare):
-        raise UsageError("limits need held-out data", remedy="leave --no-loop out")
-    if request.as_published and (request.declare or request.limits):
-        raise UsageError(
-            "the paper's procedure searches for nothing, holds nothing out and declares nothing",
-            remedy="leave --as-published out",
-        )
+    request.refuse_contradictions()
     prepared, log = _prepare(recording, request, say)
     del recording  # from here on a log is side by side: held twice, one of many IMUs is large
-    board = prepared.board
-    rests = fit_rests(prepared.segments, board, request.gravity, scope=request.scope)
+    segments, board = prepared.segments, prepared.board
+    rests = fit_rests(segments, board, request)
     say(f"{rests.poses} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
     moving = find_moving(log, rests)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
-    try:
-        fitted = _fit(prepared, moving, rests)
-    except np.linalg.LinAlgError as error:
-        raise Undetermined(
-            f"no motion of a rigid board fits these readings: {error}",
-            remedy="check `axes` and the ranges in the board file; `imucal inspect FILE` shows "
-            "where readings clip or freeze",
-        ) from error
-    if fitted.loop is not None:
-        loop = _hold_against_rests(fitted.loop, prepared, rests)
-        fitted = replace(fitted, loop=loop)
+    state, loop, uneven = _fit(board, request, moving, rests)
+    if loop is not None:
+        loop = loop.join_rests(rests.loop).hold_against_rests(segments, rests)
         say("found: " + (", ".join(s.effect for s in loop.steps) or "nothing"))
-    return finish_run(_locate(fitted, log, say))
-
-
-def _locate(fitted: FittedLog, log: ArrayLog, say: Say) -> LocatedBoard:
-    """The positions with all of their uncertainty."""
-    request, state, loop = fitted.request, fitted.state, fitted.loop
-    rng = np.random.default_rng(request.seed)
-    if request.as_published:
-        drawn = draw_as_published(fitted.moving, fitted.board, request, rng)
-        motion = drawn.covariance
-    else:
-        drawn = draw_positions(state, request.stop, rng)
-        motion = state.covariance[: state.positions, : state.positions]
+    drawn, motion = _draw(state, moving, request)
+    say(f"{len(state.setup.inner)} samples: {drawn.sentence}")
     linear = linear_part(state)
     if loop is None:  # of gyros that were made like their mean
-        linear = replace(linear, gyro_gain=fitted.moving.gyros.gain @ linear.gyro_gain)
-    gyros = scale_by_turns(
-        log,
-        fitted.segments,
-        fitted.rests,
-        linear.gyro_gain,
-        state.noise[1].factor,
-    )
+        linear = replace(linear, gyro_gain=moving.gyros.gain @ linear.gyro_gain)
+    gyros = scale_by_turns(log, segments, rests, linear.gyro_gain, state.noise[1].factor)
     total = total_of(
         drawn.mean,
         motion,
         gyros=gyros,
         gravity_sd=request.gravity_sd,
-        frame_sd=frame_sd(fitted.rests),
+        frame_sd=rests.frame_sd,
         distances=request.distances,
     )
-    say(f"{len(state.setup.inner)} samples: {drawn.sentence}")
     gaps = request.loop and not request.as_published and loop is None
     unsearched = ("the motion has too many gaps for the search for effects",) if gaps else ()
-    off = off_the_drawing(total.mean, fitted.board)
-    fitted = replace(fitted, notes=(*fitted.notes, *drawn.notes, *unsearched, *off))
-    return LocatedBoard(
-        **vars(fitted),
-        drawn=drawn,
-        total=total,
-        gyros=gyros,
-        linear=linear,
-        residual=residual_in_motion(loop, state),
+    off = off_the_drawing(total.mean, board)
+    prepared = replace(prepared, notes=(*prepared.notes, *drawn.notes, *unsearched, *off))
+    return finish_run(
+        LocatedBoard(
+            **vars(prepared),
+            rests=rests,
+            moving=moving,
+            state=state,
+            loop=loop,
+            uneven=uneven,
+            drawn=drawn,
+            total=total,
+            gyros=gyros,
+            linear=linear,
+            residual=residual_in_motion(loop, state),
+        )
     )
 
 
@@ -168,10 +135,10 @@ def _prepare(recording: Recording, request: ArrayRequest, say: Say) -> tuple[Pre
         log, segments = array_log(recording, board), still_segments(recording, request.still)
     seen = streams(log)
     if not request.as_drawn:
-        refuse_streams(seen, board.imus, log.interval)
+        seen.refuse_late(board.imus, log.interval)
         refuse_contradiction(check_board(log, segments, board), request.agreeing)
     log = replace(log, clipped=log.clipped | seen.held)
-    notes = (*recording.notes, *segments.notes, *log.notes, *stream_notes(seen))
+    notes = (*recording.notes, *segments.notes, *log.notes, *seen.notes)
     # What the recording is called and how long it is, but no readings.
     channels = {
         name: replace(c, values=np.broadcast_to(np.nan, c.values.shape))
@@ -183,7 +150,7 @@ def _prepare(recording: Recording, request: ArrayRequest, say: Say) -> tuple[Pre
         request=request,
         segments=segments,
         notes=notes,
-        broken=tuple(find_broken(seen, board.imus)),
+        broken=tuple(seen.find_broken(board.imus)),
     )
     return prepared, log
 
@@ -208,10 +175,12 @@ def _refuse_restless(segments: Segments, board: Board, recording: Recording, log
     )
 
 
-def _fit(prepared: PreparedLog, moving: Moving, rests: RestFit) -> FittedLog:
-    """The joint fit of rests and motion, searched where that was asked for."""
-    board, request = prepared.board, prepared.request
-    most = samples_used(moving, request.samples)
+def _fit(
+    board: Board, request: ArrayRequest, moving: Moving, rests: RestFit
+) -> tuple[ArrayState, MotionLoop | None, Uneven | None]:
+    """The joint fit of rests and motion, searched where that was asked for; without a search, where
+    positions differ from part to part of the motion."""
+    most = min(len(moving.good), request.samples or max(READINGS // board.count, 1))
     searched = (request.loop or bool(request.declare)) and not request.as_published
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES)) if searched else None
     if searched and setup is None and request.declare:
@@ -220,64 +189,43 @@ def _fit(prepared: PreparedLog, moving: Moving, rests: RestFit) -> FittedLog:
             remedy="record longer stretches without gaps and clipping",
         )
     terms = rest_terms(rests)
-    if setup is None:
-        # Where nothing is searched, gyros are made like their mean by plain comparison.
-        plain = plain_setup(moving.levelled, board, min(most, SEARCH_SAMPLES))
-        state = fit_all_samples(start_state(plain, (*terms, frame_term())), most)
-        state, uneven = add_unevenness(state, measure_dispersion(state, gyro=False))
-        return FittedLog(
-            **vars(prepared), rests=rests, moving=moving, state=state, loop=None, uneven=uneven
+    try:
+        if setup is None:
+            # Where nothing is searched, gyros are made like their mean by plain comparison.
+            levelled, some = moving.levelled, min(most, SEARCH_SAMPLES)
+            plain = array_setup(levelled, board, some)
+            plain = plain or set_up(levelled, board, some, neighbours=False)
+            state = fit_all_samples(start_state(plain, (*terms, frame_term())), most)
+            state, uneven = add_unevenness(state)
+            return state, None, uneven
+        loop = close_array_loop(
+            setup,
+            terms,
+            request,
+            halved=array_setup(moving, board, min(most, HALVED_SAMPLES)),
+            most=most,
         )
-    loop = close_array_loop(
-        setup,
-        terms,
-        curves=request.curves,
-        halved=array_setup(moving, board, min(most, HALVED_SAMPLES)),
-        most=most,
-        scope=request.scope,
-    )
-    return FittedLog(
-        **vars(prepared),
-        rests=rests,
-        moving=moving,
-        state=loop.final,
-        loop=join_rests(loop, rests.loop),
-        uneven=None,
-    )
+        return loop.final, loop, None
+    except np.linalg.LinAlgError as error:
+        raise Undetermined(
+            f"no motion of a rigid board fits these readings: {error}",
+            remedy="check `axes` and the ranges in the board file; `imucal inspect FILE` shows "
+            "where readings clip or freeze",
+        ) from error
 
 
-def _hold_against_rests(loop: MotionLoop, prepared: PreparedLog, rests: RestFit) -> MotionLoop:
-    """The loop with doubts where gravity at the rests contradicts what a force does to gyros: it
-    is corrected still, is not certain, and what it may be instead is open."""
-    segments = prepared.segments
-    if segments.n < ATTITUDES:
-        return loop
-    t, turns = segments.middle, prepared.board.rotations
-    read, rate = (
-        np.einsum("kij,nkj->nki", turns, values) for values in (segments.mean, segments.rate)
+def _draw(state: ArrayState, moving: Moving, request: ArrayRequest) -> tuple[PositionDraws, Array]:
+    """Positions as they are drawn, and the covariance (d, d) m² that the motion leaves of them."""
+    rng = np.random.default_rng(request.seed)
+    if not request.as_published:
+        drawn = draw_positions(state, request.stop, rng)
+        return drawn, state.covariance[: state.positions, : state.positions]
+    drawn = draw_as_published(
+        moving,
+        state.setup.board,
+        rng,
+        samples=request.samples,
+        iterations=request.iterations,
+        stop=request.stop,
     )
-    force = rests.correct(read, t)
-    motion = board_motion(imus=prepared.board.imus, rotations=turns, t=t, force=force)
-    wrong = {
-        term.name
-        for term in loop.final.found
-        if term.effect.channel == "angular_rate"
-        and "spin" not in term.effect.needs
-        and is_contradicted(rate, term.reading(term.columns(motion)))
-    }
-    doubted = [s for s in loop.steps if s.effect in wrong]
-    steps = tuple(
-        replace(s, aliases=(*s.aliases, OTHER), certain=False) if s.effect in wrong else s
-        for s in loop.steps
-    )
-    more = tuple(
-        Unexplained(
-            f"{s.effect} shows in motion and not at rest",
-            "force",
-            "probe",
-            s.probability,
-            s.evidence_nats,
-        )
-        for s in doubted
-    )
-    return replace(loop, steps=steps, unexplained=(*loop.unexplained, *more))
+    return drawn, drawn.covariance

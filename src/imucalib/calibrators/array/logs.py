@@ -11,16 +11,9 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibration.triads import Triad, effect_covariance, triangle
-from imucalib.calibrators.array.board.turns import BoardTurns
-from imucalib.calibrators.array.motion.effect_blocks import effect_blocks
-from imucalib.calibrators.array.motion.total import (
-    GyroScale,
-    Total,
-    frame_sd,
-    gyro_scale,
-    size_block,
-    total_of,
-)
+from imucalib.calibrators.array.board.turns import BoardTurns, GyroScale, gyro_scale
+from imucalib.calibrators.array.findings import effect_blocks
+from imucalib.calibrators.array.motion.total import Total, size_block, total_of
 from imucalib.calibrators.array.run import (
     ArrayRun,
     array_calibration,
@@ -239,7 +232,7 @@ def board_run(runs: tuple[ArrayRun, ...]) -> BoardRun:
         found.covariance,
         gyros=gyros,
         gravity_sd=request.gravity_sd,
-        frame_sd=float(np.sqrt(np.mean([frame_sd(run.rests) ** 2 for run in runs]))),
+        frame_sd=float(np.sqrt(np.mean([run.rests.frame_sd**2 for run in runs]))),
         distances=request.distances,
     )
     repeats = tuple(_repeats(runs))

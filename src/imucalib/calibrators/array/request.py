@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from imucalib.calibrators.array.board.board import Board
-from imucalib.calibrators.array.board.catalogue import Scope
 from imucalib.calibrators.array.motion.total import Distance
 from imucalib.calibrators.request import Request
+from imucalib.errors import UsageError
 from imucalib.estimators.markov.crank_nicolson import Stop
 from imucalib.rests.stillness import StillSettings
 
@@ -44,10 +44,16 @@ class ArrayRequest(Request):
     as_drawn: bool = False
     agreeing: tuple[str, ...] = ()
 
-    @property
-    def scope(self) -> Scope:
-        """What the search may try."""
-        return Scope(self.declare, self.only, self.without, self.loop)
+    def refuse_contradictions(self) -> None:
+        """Raise UsageError for choices that exclude each other."""
+        if self.limits and not (self.loop or self.declare):
+            raise UsageError("limits need held-out data", remedy="leave --no-loop out")
+        if self.as_published and (self.declare or self.limits):
+            raise UsageError(
+                "the paper's procedure searches for nothing, holds nothing out and declares "
+                "nothing",
+                remedy="leave --as-published out",
+            )
 
     def describe_settings(self) -> dict[str, object]:
         """The settings as provenance keeps them."""

@@ -19,22 +19,24 @@ from imucalib.calibration.triads import DRIFT, Triad, drift_block
 from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.moving import Moving
 from imucalib.calibrators.array.board.rests import RestFit
+from imucalib.calibrators.array.board.turns import GyroScale
 from imucalib.calibrators.array.findings import (
+    LinearPart,
     Residual,
     advice,
     array_errors,
     array_findings,
+    effect_blocks,
     find_unexplained,
     noise_block,
     reasons,
+    rest_blocks,
 )
 from imucalib.calibrators.array.motion.closed_loop import MotionLoop
 from imucalib.calibrators.array.motion.covariance import Uneven
-from imucalib.calibrators.array.motion.effect_blocks import effect_blocks, rest_blocks
-from imucalib.calibrators.array.motion.linear_part import LinearPart
 from imucalib.calibrators.array.motion.posterior import PositionDraws
 from imucalib.calibrators.array.motion.state import ArrayState
-from imucalib.calibrators.array.motion.total import GyroScale, Total, size_block
+from imucalib.calibrators.array.motion.total import Total, size_block
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.core.fit import StoredParameter
 from imucalib.recording.identity import Identity
@@ -43,23 +45,8 @@ from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, STANDARD_GRAVITY
 
-#: Blocks of report.json that the YAML has, too.
-_SHARED = (
-    "board",
-    "reference",
-    "reference_mm",
-    "ranges",
-    "sample_interval_s",
-    "positions_mm",
-    "size",
-    "gyro_scale",
-    "frame",
-    "rests",
-    "residual_in_motion",
-    "effects",
-    "not_undone",
-    "diagnostics",
-)
+#: Blocks of report.json that the YAML has not.
+_OF_REPORT = ("distances_mm", "moving", "noise")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,11 +66,13 @@ class PreparedLog:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FittedLog(PreparedLog):
-    """With its rests and its motion fitted.
+class LocatedBoard(PreparedLog):
+    """With its rests and its motion fitted, and the positions with all of their uncertainty.
 
     state : the joint fit of all informative samples; loop : None where nothing was searched
     uneven : where positions differ from part to part of the motion and no loop says so
+    drawn : chains over the joint fit, or those of the paper; total : with size and frame
+    linear : what a linear correction holds of the joint fit
     """
 
     rests: RestFit
@@ -91,16 +80,6 @@ class FittedLog(PreparedLog):
     state: ArrayState
     loop: MotionLoop | None
     uneven: Uneven | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class LocatedBoard(FittedLog):
-    """With the positions and all of their uncertainty.
-
-    drawn : chains over the joint fit, or those of the paper; total : with size and frame
-    linear : what a linear correction holds of the joint fit
-    """
-
     drawn: PositionDraws
     total: Total
     gyros: GyroScale
@@ -155,7 +134,7 @@ def finish_run(made: LocatedBoard) -> ArrayRun:
         made.total,
         made.board.imus,
         gravity=rests.gravity,
-        facts={name: details[name] for name in _SHARED},
+        facts={name: block for name, block in details.items() if name not in _OF_REPORT},
         triads=tuple(_triads(made)),
     )
     return ArrayRun(outcome=outcome, calibration=calibration, details=details, **vars(made))
@@ -245,12 +224,6 @@ def _details(made: LocatedBoard) -> dict[str, Any]:
         **instrument_block(board, made.moving.interval),
         "positions_mm": position_rows(board, total),
         **size_block(total, made.gyros, board),
-        "residual_in_motion": {
-            "accelerometers_m_per_s2": residual.acceleration,
-            "gyros_deg_per_s": residual.rate / DEG,
-            "held_out": residual.held_out,
-        },
-        "diagnostics": _diagnostics(made),
         "rests": {
             "count": rests.poses,
             "residual_m_per_s2": rests.residual,
@@ -258,12 +231,18 @@ def _details(made: LocatedBoard) -> dict[str, Any]:
             "verdict": rests.loop.verdict if rests.loop else "not run",
             **_drift_of(rests, board),
         },
-        "moving": dict(made.moving.counts),
+        "residual_in_motion": {
+            "accelerometers_m_per_s2": residual.acceleration,
+            "gyros_deg_per_s": residual.rate / DEG,
+            "held_out": residual.held_out,
+        },
+        "effects": rest_blocks(rests),
         "not_undone": [
             {"effect": name, "rms": rms, "unit": unit}
             for name, rms, unit in (*drift, *made.linear.beyond)
         ],
-        "effects": rest_blocks(rests),
+        "diagnostics": _diagnostics(made),
+        "moving": dict(made.moving.counts),
     }
     if made.loop is not None:
         details["effects"] += effect_blocks(made.loop)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.motion.board_motion import BoardMotion
 from imucalib.calibrators.array.motion.laws import array_functions, array_laws
+from imucalib.calibrators.array.motion.terms import BoardMotion
 from imucalib.calibrators.imu.log import LogCourse
 from imucalib.calibrators.imu.request import ImuRequest, gyro_effects
 from imucalib.calibrators.lab.calibrate import base_model

@@ -18,7 +18,7 @@ from imucalib.estimators.array.samples import (
     SPIN,
     Information,
     places,
-    slope_of,
+    slope_by_motion,
     turning,
 )
 
@@ -80,7 +80,7 @@ class FusedMotion:
 
     def doubt(self, r: Array) -> Array:
         """(T, K) mean variance of an axis of `felt`, (m/s²)²."""
-        place, slope = places(r)[0], slope_of(self.rate)
+        place, slope = places(r)[0], slope_by_motion(self.rate)
         whole = slope @ self.covariance @ slope.swapaxes(1, 2)
         each = np.einsum("tiaib->tab", whole.reshape(-1, 3, 4, 3, 4))
         return np.asarray(np.einsum("ka,tab,kb->tk", place, each, place, optimize=True) / 3.0)

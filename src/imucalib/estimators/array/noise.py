@@ -5,6 +5,10 @@ A triad's error of one sample is a three-dimensional Student t of scale σ(ω), 
 leaves of it has fewer dimensions: of two IMUs' forces one, along the line between them. Growth,
 tails and a factor of one IMU are taken in only when held-out blocks of time gain by them. The t
 acts as weights (ν + 3)/(ν + d²) on the samples (Lange, Little, Taylor 1989, JASA 84).
+
+About a fused motion an axis has variance σ_i² + (c f_k |ω|)², with what it shows at rest for σ_i:
+there c, f and ν come from the log itself, for what a calibration leaves differs with the motion,
+and the stated covariance stands on it.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.estimators.array.samples import Sampled
+from imucalib.estimators.array.samples import Pair, Sampled
 
 _NU = (3.0, 4.0, 6.0, 10.0, 25.0)
 _GROWTH = (0.3, 0.7, 1.5, 3.0, 7.0, 20.0)
@@ -74,16 +78,29 @@ class MotionNoise:
         return (self.freedom + 3.0) / (self.freedom + 5.0)
 
 
+def weigh(noise: tuple[MotionNoise, MotionNoise], off: Pair, rate: Array) -> Pair:
+    """Weights (n, K) of readings with residuals off (n, K, 3), turning by rate (n, 3) rad/s."""
+    speed = np.linalg.norm(rate, axis=1)
+    square = (np.sum(own**2, axis=2) for own in off)
+    return Pair(*(one.weight(d, speed) for one, d in zip(noise, square, strict=True)))
+
+
 def log_density(noise: MotionNoise, square: Squares, speed: Array) -> Array:
     """(T, K) log density of residuals."""
+    variance, m = noise.variance(speed), square.numbers
+    whitened = _student_density(square.length / variance, m, noise.freedom)
+    return np.asarray(whitened - 0.5 * m * np.log(variance))
+
+
+def _student_density(square: Array, count: Array, freedom: float) -> Array:
+    """Log density of a Student t of unit scale in `count` dimensions, at squared lengths."""
     from scipy.special import gammaln
 
-    variance, m = noise.variance(speed), square.numbers
-    d, nu = square.length / variance, noise.freedom
-    if not np.isfinite(nu):
-        return np.asarray(-0.5 * d - 0.5 * m * np.log(2.0 * np.pi * variance))
-    level = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) - 0.5 * m * np.log(nu * np.pi)
-    return np.asarray(level - 0.5 * m * np.log(variance) - 0.5 * (nu + m) * np.log1p(d / nu))
+    if not np.isfinite(freedom):
+        return np.asarray(-0.5 * square - 0.5 * count * np.log(2.0 * np.pi))
+    whole = freedom + count
+    level = gammaln(0.5 * whole) - gammaln(0.5 * freedom) - 0.5 * count * np.log(freedom * np.pi)
+    return np.asarray(level - 0.5 * whole * np.log1p(square / freedom))
 
 
 def rescale(noise: MotionNoise, square: Squares, speed: Array) -> MotionNoise:
@@ -186,3 +203,72 @@ def _power_apart(off: Array) -> Array:
     pair = np.median(square, axis=0) / _MEDIAN
     whole = pair.sum() / (2.0 * (count - 1))
     return np.asarray(np.maximum((pair.sum(axis=1) - whole) / (count - 2), 0.0))
+
+
+_GROWN = np.concatenate([[0.0], np.geomspace(0.03, 30.0, 31)])
+_GROSS = 30.0  # squared length in sigmas beyond which a Gaussian triad is no part of the sample
+_LEAST = 4.0  # nats by which tails or one IMU's factor must win
+_LEFT = 0.02  # least share of its variance that a residual keeps
+
+
+@dataclass(frozen=True)
+class ChipNoise:
+    """rest : (K, 3) of one axis at rest; growth : (K,) c f_k, per rad/s; freedom : ν"""
+
+    rest: Array
+    growth: Array
+    freedom: float
+
+    def variance(self, speed: Array) -> Array:
+        """(T, K, 3) at speeds (T,) rad/s."""
+        return np.asarray(self.rest**2 + (speed[:, None] * self.growth)[..., None] ** 2)
+
+    def share(self, square: Array, live: Array) -> Array:
+        """(T, K) what a triad weighs beside its inverse variance, given its squared length in
+        sigmas over `live` (T, K) axes. The t's weight (Lange, Little, Taylor 1989, JASA 84); under
+        a Gaussian, what lies far out loses its say."""
+        if np.isfinite(self.freedom):
+            return np.asarray((self.freedom + live) / (self.freedom + square))
+        return np.asarray((_GROSS / np.maximum(square, _GROSS)) ** 2)
+
+    @property
+    def widening(self) -> float:
+        """Of a covariance from the t's weights: they say more of a place than the t itself does,
+        by (ν + 5) / (ν + 3) for three axes."""
+        nu = self.freedom
+        return (nu + 5.0) / (nu + 3.0) if np.isfinite(nu) else 1.0
+
+
+def at_rest(rest: Array) -> ChipNoise:
+    """Noise (K, 3) that does not grow."""
+    return ChipNoise(rest, np.zeros(len(rest)), np.inf)
+
+
+def fit_noise(off: Array, live: Flags, left: Array, speed: Array, rest: Array) -> ChipNoise:
+    """The likeliest noise of residuals.
+
+    off : (T, K, 3) along the sensors' axes; live : (T, K, 3); left : (T, K) share of a triad's
+    variance that the motion has not taken; speed : (T,) rad/s; rest : (K, 3)
+    """
+    square = np.where(live, off**2, 0.0) / np.maximum(left, _LEFT)[..., None]
+    fast = float(np.sqrt(np.mean(speed**2))) or 1.0
+    growth = _GROWN * float(np.sqrt(np.mean(rest**2))) / fast
+    found, best = at_rest(rest), -np.inf
+    for nu in (np.inf, *_NU[::-1]):
+        tried = [ChipNoise(rest, np.full(len(rest), one), nu) for one in growth]
+        table = np.array([_of_triads(one, square, live, speed) for one in tried])
+        same, each = int(table.sum(axis=1).argmax()), table.argmax(axis=0)
+        value, own = float(table[same].sum()), float(table.max(axis=0).sum())
+        apart = own > value + _LEAST * len(rest)
+        if (own if apart else value) > best + _LEAST:
+            best = own if apart else value
+            found = ChipNoise(rest, growth[each] if apart else tried[same].growth, nu)
+    return found
+
+
+def _of_triads(noise: ChipNoise, square: Array, live: Flags, speed: Array) -> Array:
+    """(K,) log density of every triad's residuals."""
+    variance = noise.variance(speed)
+    whitened = _student_density((square / variance).sum(axis=2), live.sum(axis=2), noise.freedom)
+    level = 0.5 * np.sum(np.where(live, np.log(variance), 0.0), axis=2)
+    return np.asarray((whitened - level).sum(axis=0))

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import Board
-from imucalib.calibrators.array.board.catalogue import Scope
 from imucalib.calibrators.array.board.rests import RestFit, fit_rests
+from imucalib.calibrators.request import Request
 from imucalib.errors import Undetermined
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG
@@ -74,8 +75,8 @@ def simulated(
     return segments, board, gain, offset
 
 
-def fitted(segments: Segments, board: Board, asked: Scope | None = None) -> RestFit:
-    return fit_rests(segments, board, G, scope=asked or Scope())
+def fitted(segments: Segments, board: Board, **asked: Any) -> RestFit:
+    return fit_rests(segments, board, Request(gravity=G, **asked))
 
 
 @pytest.mark.slow
@@ -83,7 +84,7 @@ def test_gains_and_offsets_within_their_deviation() -> None:
     z = []
     for seed in range(8):
         segments, board, gain, offset = simulated(seed)
-        found = fitted(segments, board, Scope(search=False))
+        found = fitted(segments, board, loop=False)
         sd = np.sqrt(np.diag(found.covariance.reshape(12 * K, 12 * K))).reshape(K, 12)
         z.append((found.gain - gain).reshape(K, 9) / sd[:, :9])
         z.append((found.offset(np.array([found.stop]))[0] - offset) / sd[:, 9:])
@@ -184,7 +185,7 @@ def _uneven(seed: int, between: float) -> tuple[Segments, Board, Array, Array]:
 @pytest.mark.parametrize("between", [0.0, 1.0, 4.0, 20.0])
 def test_what_differs_from_rest_to_rest_is_estimated(between: float) -> None:
     segments, board, _, _ = _uneven(5, between=between * SIGMA)
-    fit = fitted(segments, board, Scope(search=False)).fit
+    fit = fitted(segments, board, loop=False).fit
     sigma = fit.noise.factor * fit.observations.sigma[:, 0, 0]
     expected = SIGMA * np.hypot(np.where(np.arange(20) % 4 == 3, 5.0, 1.0), between)
     assert np.abs(np.log(sigma / expected)).max() < 0.25  # the tried sizes are a factor 2 apart
@@ -216,7 +217,7 @@ def test_what_rounding_leaves_is_stated() -> None:
         segments, board, gain, offset = simulated(seed)
         bias = np.random.default_rng(seed).uniform(-DEG, DEG, 3)
         made = coarse(segments, 16.0 * MG, DEG, bias)
-        found = fitted(made, board, Scope(search=False))
+        found = fitted(made, board, loop=False)
         sd = np.sqrt(np.diag(found.covariance.reshape(12 * K, 12 * K))).reshape(K, 12)
         z.append((found.gain - gain).reshape(K, 9) / sd[:, :9])
         z.append((found.offset(np.array([found.stop]))[0] - offset) / sd[:, 9:])

@@ -10,9 +10,6 @@ import pytest
 from imucalib.calibrators.array.board.board import read_board
 from imucalib.calibrators.array.board.log import ArrayLog, array_log
 from imucalib.calibrators.array.board.streams import (
-    find_broken,
-    refuse_streams,
-    stream_notes,
     streams,
 )
 from imucalib.errors import Undetermined
@@ -42,7 +39,7 @@ def test_lost_samples_are_told_with_their_share(log: ArrayLog) -> None:
     short = replace(log, t=log.t[keep], acceleration=log.acceleration[keep], rate=log.rate[keep],
                     clipped=log.clipped[keep])  # fmt: skip
     assert streams(short).lost == pytest.approx(0.02, rel=0.1)
-    assert next(stream_notes(streams(short))).startswith("2 % of the samples are missing")
+    assert next(streams(short).notes).startswith("2 % of the samples are missing")
 
 
 def test_a_frozen_chip_is_told_and_left_out(log: ArrayLog) -> None:
@@ -50,7 +47,7 @@ def test_a_frozen_chip_is_told_and_left_out(log: ArrayLog) -> None:
     first = len(rate) - 400
     rate[first : first + 60, 3] = rate[first, 3]
     found = streams(replace(log, rate=rate))
-    notes = list(find_broken(found, BOARD.imus))
+    notes = list(found.find_broken(BOARD.imus))
     assert len(notes) == 1
     assert notes[0].startswith("The gyro of imu3 repeats its reading in ")
     assert 0.05 < found.repeated[3, 1] < 0.12
@@ -58,7 +55,7 @@ def test_a_frozen_chip_is_told_and_left_out(log: ArrayLog) -> None:
     assert not found.held[:first].any()
     rate[first - 180 : first + 370, 3] = rate[first, 3]
     with pytest.raises(Undetermined, match="gyro of imu3 repeats its reading"):
-        refuse_streams(streams(replace(log, rate=rate)), BOARD.imus, log.interval)
+        streams(replace(log, rate=rate)).refuse_late(BOARD.imus, log.interval)
 
 
 @pytest.mark.parametrize("late", [2, -1])
@@ -70,7 +67,7 @@ def test_a_late_chip_is_told(log: ArrayLog, late: int, kind: str) -> None:
     word = "late" if late > 0 else "early"
     sensor = "gyro" if kind == "rate" else "accelerometer"
     with pytest.raises(Undetermined, match=f"{sensor} of imu5 is {word} by {abs(late)}") as caught:
-        refuse_streams(found, BOARD.imus, log.interval)
+        found.refuse_late(BOARD.imus, log.interval)
     assert caught.value.exit_code == 4
     assert np.count_nonzero(found.shift) == 2
     assert np.isnan(found.since).all()
@@ -88,7 +85,7 @@ def test_a_chip_that_loses_a_sample_is_told_with_the_time(log: ArrayLog, share: 
     assert np.argwhere(found.shift).tolist() == [[1, 5, 0], [1, 5, 1]]
     assert np.allclose(found.since[5], log.t[lost], atol=0.5)
     with pytest.raises(Undetermined, match=r"gyro of imu5 is early by 1 samples .* from .* s on"):
-        refuse_streams(found, BOARD.imus, log.interval)
+        found.refuse_late(BOARD.imus, log.interval)
 
 
 @pytest.mark.parametrize("kind", ["acceleration", "rate"])
@@ -128,7 +125,7 @@ def test_spikes_that_no_other_sensor_knows_of_are_left_out(log: ArrayLog) -> Non
     assert found.spikes[5].tolist() == [4, 0]
     assert found.spikes[2].tolist() == [0, 3]
     assert found.spikes.sum() == 7
-    told = list(find_broken(found, BOARD.imus))
+    told = list(found.find_broken(BOARD.imus))
     assert [n.split(" spikes")[0] for n in told] == [
         "The accelerometer of imu5 has 4",
         "The gyro of imu2 has 3",

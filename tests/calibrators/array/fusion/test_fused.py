@@ -26,7 +26,7 @@ from imucalib.calibrators.array.fusion.instrument import (
 )
 from imucalib.calibrators.array.fusion.recording import fuse_stretch
 from imucalib.calibrators.array.fusion.survey import NotFusable, Survey, side_by_side, survey
-from imucalib.calibrators.array.motion.board_motion import board_motion
+from imucalib.calibrators.array.motion.terms import board_motion
 from imucalib.errors import UsageError
 from imucalib.readers import read
 from imucalib.recording.recording import Recording
@@ -404,7 +404,7 @@ def test_lags_over_time_are_not_those_of_the_first_order(
     tone = np.exp(pace * t)[:, None] * np.array([12.0, 0.0, 5.0])
     beside = np.stack([np.arange(400) > 0, np.arange(400) < 399], axis=1)
     motion = board_motion(
-        imus=("a", "b"), rotations=TURN, t=t, rate=tone.imag, spin=(pace * tone).imag
+        beyond(block(name, 4.0)), t, rate=tone.imag, spin=(pace * tone).imag
     ).set_courses(beside)
     made = beyond(block(name, 4.0))
     late = made.late(t, None)

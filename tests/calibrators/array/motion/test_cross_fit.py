@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.board.catalogue import array_catalogue
+from imucalib.calibrators.array.board.board import undrawn_board
 from imucalib.calibrators.array.board.moving import Moving
 from imucalib.calibrators.array.board.rests import RestFit
 from imucalib.calibrators.array.motion.ages import beats, estimate_clock, find_voting
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
-from imucalib.calibrators.array.motion.cross_fit import Gained, difference_of_medians
-from imucalib.calibrators.array.motion.search import start_state
+from imucalib.calibrators.array.motion.closed_loop import Gained, difference_of_medians
+from imucalib.calibrators.array.motion.laws import array_catalogue
 from imucalib.calibrators.array.motion.setup import Setup, array_setup, part_of
+from imucalib.calibrators.array.motion.state import start_state
 from imucalib.calibrators.array.motion.terms import (
+    BoardMotion,
     Term,
+    board_motion,
     columns_of,
     determine,
     evaluate_lags,
@@ -112,9 +114,8 @@ def swung(t: Array) -> BoardMotion:
     spin, jerk = (x * np.cos(x * t)[:, None] * [1.0, -2.0, 0.5] for x in (w, f))
     every = (len(t), 2, 3)
     found = board_motion(
-        imus=("imu0", "imu1"), rotations=np.tile(np.eye(3), (2, 1, 1)), t=t, order=t, rate=rate,
-        spin=spin, force=np.broadcast_to(force[:, None], every),
-        jerk=np.broadcast_to(jerk[:, None], every),
+        undrawn_board(2), t, order=t, rate=rate, spin=spin,
+        force=np.broadcast_to(force[:, None], every), jerk=np.broadcast_to(jerk[:, None], every),
     )  # fmt: skip
     beside = np.ones((len(t), 2), dtype=np.bool_)
     beside[0, 0] = beside[-1, 1] = False
@@ -144,9 +145,9 @@ def test_what_acts_on_a_late_reading_acts_on_what_was_then() -> None:
     felt = then.truth_of("acceleration").force
     due = swung(T - 0.5e-3).truth.force[:, 0]
     np.testing.assert_allclose(felt[1:-1, 0], due[1:-1], atol=1e-6)
-    less = evaluate_lags([own, other], here)
-    np.testing.assert_allclose(here.truth.turning.rate - less[1], turning, atol=1e-12)
-    np.testing.assert_allclose(here.truth.force - less[0], felt, atol=1e-12)
+    more = evaluate_lags([own, other], here)
+    np.testing.assert_allclose(here.truth.turning.rate + more.rate, turning, atol=1e-12)
+    np.testing.assert_allclose(here.truth.force + more.acceleration, felt, atol=1e-12)
     scale = columns_of(array_catalogue()["gyro_scale"], then).basis[1]
     np.testing.assert_allclose(np.einsum("tii->ti", scale)[1:-1], 0.01 * earlier[1:-1], atol=2e-7)
 
@@ -193,6 +194,6 @@ def test_a_beat_is_the_steady_part_of_a_sawtooth() -> None:
     one, none = beats(SampleAge(wave, np.array([-0.7, np.nan])), t, np.arange(t.size))
     assert none is None
     assert one is not None
-    assert (one.frequency, one.at) == (pytest.approx(-0.7, abs=0.002), 3.0)
-    assert one.phase == pytest.approx(0.3, abs=0.03)
-    assert one.scatter == pytest.approx(0.05 / np.sqrt(2.0), rel=0.15)
+    assert (one.hz, one.at_s) == (pytest.approx(-0.7, abs=0.002), 3.0)
+    assert one.phase_turns == pytest.approx(0.3, abs=0.03)
+    assert one.wander_turns == pytest.approx(0.05 / np.sqrt(2.0), rel=0.15)

@@ -8,19 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.board.turns import BoardTurns, common_scale
+from imucalib.calibrators.array.board.turns import BoardTurns, GyroScale, common_scale
 from imucalib.calibrators.array.findings import Residual, find_unexplained
 from imucalib.calibrators.array.motion.covariance import (
     Uneven,
     sandwich,
     uneven,
 )
-from imucalib.calibrators.array.motion.total import (
-    Distance,
-    GyroScale,
-    Total,
-    total_of,
-)
+from imucalib.calibrators.array.motion.total import Distance, Total, total_of
 from imucalib.calibrators.array.request import Accepted
 from worlds.array import corners
 from worlds.boards import DEG, Array, BoardPlan, handled

@@ -9,8 +9,8 @@ import pytest
 
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.motion.covariance import add_unevenness
-from imucalib.calibrators.array.motion.density import PositionDensity
 from imucalib.calibrators.array.motion.posterior import (
+    PositionDensity,
     along,
     draw_positions,
     rank_directions,
@@ -29,7 +29,7 @@ OTHER = (0.2, -0.4, 0.9)
 @pytest.mark.parametrize("tails", [3.0, np.inf])
 def test_its_mode_is_the_fits_and_its_shape_the_curvatures(tails: float) -> None:
     state, _ = fitted(BoardPlan(twist_s=6.0, tails=tails), 3, 450)
-    state = add_unevenness(state, 1.0)[0]
+    state = add_unevenness(state)[0]
     d = state.positions
     found = draw_positions(state, Stop(), np.random.default_rng(0))
     assert found.accepted > 0.75
@@ -45,7 +45,7 @@ def test_it_is_the_least_squares_of_every_samples_motion() -> None:
     """Differences between positions, of plain noise, against scipy sample by sample."""
     plan, seed = BoardPlan(twist_s=2.0), 5
     state, _ = fitted(plan, seed, 60)
-    state = add_unevenness(state, 1.0)[0]
+    state = add_unevenness(state)[0]
     rng = np.random.default_rng(0)
     density, rows = PositionDensity(state), state.setup.rows[state.setup.inner]
     # In units of the noise as it was made.

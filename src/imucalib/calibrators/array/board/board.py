@@ -22,7 +22,6 @@ BOARDS = Path(__file__).parent / "boards"
 _KEYS = ("name", "prior_sd", "accelerometer_range", "gyroscope_range", "package", "outline", "imus")
 _IMU_KEYS = ("name", "position", "axes", "rotation", "accelerometer_axes", "gyro_axes")
 FEWEST_IMUS = 2
-_LINE = 0.02  # extent across a line over that along it, below which it is one
 _SMALLEST = 1e-4  # m that an array extends at least
 
 
@@ -64,13 +63,6 @@ class Board:
     def drawn(self) -> Array:
         """(K, 3) m relative to the first IMU."""
         return np.asarray(self.positions - self.positions[0])
-
-    @property
-    def on_a_line(self) -> bool:
-        """Whether all IMUs are drawn on one line: about it no accelerometer shows a spin."""
-        away = self.positions - self.positions.mean(axis=0)
-        values = np.linalg.svd(away, compute_uv=False)
-        return bool(values[1] <= _LINE * values[0])
 
 
 def board_names() -> tuple[str, ...]:

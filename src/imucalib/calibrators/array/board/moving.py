@@ -9,6 +9,7 @@ gyros and reported, never fitted.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -86,6 +87,15 @@ class Moving:
     interval: float
     counts: dict[str, int]
 
+    @cached_property
+    def amid(self) -> Index:
+        """Informative samples whose two neighbours are informative and at the usual interval."""
+        good = np.zeros(len(self.t) + 2, dtype=np.bool_)
+        good[1 + self.good] = True
+        regular = np.abs(np.diff(self.t) - self.interval) < 0.3 * self.interval
+        amid = good[1:-1] & good[:-2] & good[2:]
+        return np.flatnonzero(amid & np.append(False, regular) & np.append(regular, False))
+
     @property
     def levelled(self) -> Moving:
         """With every gyro in the scale and the axes of their mean, as plain comparison has them."""
@@ -153,10 +163,3 @@ def _refuse_few(counts: dict[str, int], left: int) -> None:
             remedy=f"twist the array about all axes, faster than {SLOWEST / DEG:.0f} deg/s and "
             "within the gyros' range, for half a minute; check the gyros' unit",
         )
-
-
-def spread_over(rows: Index, count: int) -> Index:
-    """At most `count` of the rows, evenly over the motion."""
-    if len(rows) <= count:
-        return rows
-    return rows[np.linspace(0, len(rows) - 1, count).round().astype(np.intp)]

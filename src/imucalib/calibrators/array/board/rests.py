@@ -18,7 +18,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import Board
-from imucalib.calibrators.array.board.catalogue import EVERYTHING, Scope
+from imucalib.calibrators.request import Request
 from imucalib.core.balance import Noise, balance
 from imucalib.core.effect import Action, Context, Effect, Parameter, Response, Truth, cross_matrix
 from imucalib.core.fit import Fit
@@ -34,7 +34,7 @@ from imucalib.posterior.candidates import SearchedEffects, effects_to_search
 from imucalib.posterior.closed_loop.closed import close_loop
 from imucalib.posterior.closed_loop.found import FitLoop
 from imucalib.rests.segments import Segments
-from imucalib.units import MG
+from imucalib.units import DEG, MG
 
 FEWEST_POSES = 9
 #: Rests from which they contradict an effect, and times their scatter that it would make of it.
@@ -54,6 +54,8 @@ _AT_A_TIME = 128
 _VAGUE = 0.02
 #: Largest believable deviation of a triad's gain from a plain one.
 _LOOSE = 0.2
+#: A package's turn on the board: sd, and how many degrees of freedom that belief is worth.
+_MOUNTED, _BELIEF = 0.3 * DEG, 1.0
 #: g: up to there a bend that rests show is undone.
 _FARTHEST = 1.2
 
@@ -311,6 +313,17 @@ class RestFit:
         own[:, 9:, 9:] += np.einsum("nki,nkj->kij", away, away) / len(away)
         return gain, offset, np.asarray(both @ own @ both.transpose(0, 2, 1))
 
+    @property
+    def frame_sd(self) -> float:
+        """rad about each axis, of the triads' mean axes against the board's: what the triads' own
+        turns scatter, over the root of how many there are."""
+        gain, _, _ = self.in_board_axes()
+        turn = 0.5 * (gain - gain.transpose(0, 2, 1))
+        angles = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)
+        count = len(angles)
+        square = float(np.sum((angles - angles.mean(axis=0)) ** 2)) + _BELIEF * _MOUNTED**2
+        return float(np.sqrt(square / (3.0 * (count - 1) + _BELIEF) / count))
+
     def powers(self, t: Array) -> Array:
         """(N, order + 1) of the gyros' drift."""
         late = np.clip((t - self.stop) / (self.stop - self.start), -1.0, 0.0)
@@ -321,20 +334,18 @@ class RestFit:
         return np.asarray(rate - np.einsum("no,oki->nki", self.powers(t), self.gyro_bias))
 
 
-def fit_rests(
-    segments: Segments, board: Board, gravity: float, *, scope: Scope = EVERYTHING
-) -> RestFit:
+def fit_rests(segments: Segments, board: Board, request: Request) -> RestFit:
     """Fit all triads and search for what is missing.
 
-    segments : of the board's IMUs, in its order. Raises Undetermined when there are too few or too
-    similar rests, NotConverged.
+    segments : of the board's IMUs, in its order; request : gravity, and what to search for
+    Raises Undetermined when there are too few or too similar rests, NotConverged.
     """
-    unweighted = observations_of(segments, board, gravity)
+    unweighted = observations_of(segments, board, request.gravity)
     data, model = weigh_rests(unweighted, estimate_own_noise(segments)), base_model()
     fit = fit_model(model, data)
     if fit.null_directions:
         raise _too_similar()
-    loop = _search(fit, scope) if scope.search else None
+    loop = _search(fit, request) if request.loop else None
     fit = fit if loop is None else loop.final
     if not fit.converged:
         raise NotConverged("the fit of the rests did not settle", remedy="check the recording")
@@ -360,16 +371,16 @@ def fit_rests(
     )
 
 
-def _search(plain: Fit, scope: Scope) -> FitLoop:
+def _search(plain: Fit, request: Request) -> FitLoop:
     """The closed loop over what a rest can show; names of single IMUs are the motion's affair."""
     known = {*catalogue(), *families()}
-    only = tuple(n for n in scope.only if n in known)
-    without = tuple(n for n in scope.without if n in known)
+    only = tuple(n for n in request.only if n in known)
+    without = tuple(n for n in request.without if n in known)
     wanted = effects_to_search(
         only, without, {}, lambda e: e.stage == "sensor" and e.name not in BASE
     )
-    effects = {} if scope.only and not only else wanted.effects
-    scans = () if scope.only else wanted.families
+    effects = {} if request.only and not only else wanted.effects
+    scans = () if request.only else wanted.families
     tried = SearchedEffects(effects, scans)
     return close_loop(plain.model, plain.observations, tried, plain.theta).loop
 

@@ -47,6 +47,57 @@ class Streams:
     spikes: Array
     held: Flags
 
+    @property
+    def notes(self) -> Iterator[str]:
+        """Lost samples with their share, in words."""
+        if self.lost > _NOTED:
+            yield f"{100 * self.lost:.2g} % of the samples are missing from the recording"
+
+    def find_broken(self, imus: tuple[str, ...]) -> Iterator[str]:
+        """What to look at: sensors of the K IMUs whose readings repeat, with their share, or have
+        spikes in motion."""
+        for kind, sensor in enumerate(_SENSORS):
+            for name, share in zip(imus, self.repeated[:, kind], strict=True):
+                if share > _NOTED:
+                    yield (
+                        f"The {sensor} of {name} repeats its reading in {100 * share:.2g} % of the "
+                        "moving samples, which are left out: check its bus and its supply."
+                    )
+            for name, count in zip(imus, self.spikes[:, kind], strict=True):
+                if count:
+                    yield (
+                        f"The {sensor} of {name} has {count:.0f} spikes in motion, which no other "
+                        "sensor knows of and which are left out: look for a broken transfer or a "
+                        "loose contact."
+                    )
+
+    def refuse_late(self, imus: tuple[str, ...], interval: float) -> None:
+        """Raise Undetermined for sensors that are late by whole samples, or mostly stand still."""
+        wrong = []
+        for kind, sensor in enumerate(_SENSORS):
+            for k, name in enumerate(imus):
+                own, share = self.shift[:, k, kind], self.repeated[k, kind]
+                if own.any():
+                    late = own[1] or own[0]
+                    when = f"{'from' if own[1] else 'up to'} {self.since[k, kind]:.4g} s"
+                    wrong.append(
+                        f"the {sensor} of {name} is {'late' if late > 0 else 'early'} by "
+                        f"{abs(late):.0f} samples ({1e3 * abs(late) * interval:.3g} ms)"
+                        + (f" {when}{' on' if own[1] else ''}" if own[0] != own[1] else "")
+                    )
+                elif share > _FROZEN:
+                    wrong.append(
+                        f"the {sensor} of {name} repeats its reading in {100 * share:.0f} % of the "
+                        "moving samples"
+                    )
+        if wrong:
+            raise Undetermined(
+                "; ".join(wrong),
+                remedy="an array needs all sensors at the same instants: shift its stamps by so "
+                "much (where its clock is its own, by more as time goes on), or take the IMU off "
+                "the board file (--as-drawn goes on as it is)",
+            )
+
 
 def streams(log: ArrayLog) -> Streams:
     """What the samples of a log say of how they were taken."""
@@ -201,58 +252,3 @@ def noisy_alone(log: ArrayLog) -> int | None:
     own = np.median(size[quiet], axis=0)
     worst = int(np.argmax(own))
     return worst if own[worst] > _NOISY * float(np.delete(own, worst).max()) else None
-
-
-def stream_notes(found: Streams) -> Iterator[str]:
-    """Lost samples with their share, in words."""
-    if found.lost > _NOTED:
-        yield f"{100 * found.lost:.2g} % of the samples are missing from the recording"
-
-
-def find_broken(found: Streams, imus: tuple[str, ...]) -> Iterator[str]:
-    """Sensors whose readings repeat, with their share, or have spikes in motion: what to look at.
-
-    found : of the streams; imus : (K,) their names
-    """
-    for kind, sensor in enumerate(_SENSORS):
-        for name, share in zip(imus, found.repeated[:, kind], strict=True):
-            if share > _NOTED:
-                yield (
-                    f"The {sensor} of {name} repeats its reading in {100 * share:.2g} % of the "
-                    "moving samples, which are left out: check its bus and its supply."
-                )
-        for name, count in zip(imus, found.spikes[:, kind], strict=True):
-            if count:
-                yield (
-                    f"The {sensor} of {name} has {count:.0f} spikes in motion, which no other "
-                    "sensor knows of and which are left out: look for a broken transfer or a loose "
-                    "contact."
-                )
-
-
-def refuse_streams(found: Streams, imus: tuple[str, ...], interval: float) -> None:
-    """Raise Undetermined for sensors that are late by whole samples, or mostly stand still."""
-    wrong = []
-    for kind, sensor in enumerate(_SENSORS):
-        for k, name in enumerate(imus):
-            own, share = found.shift[:, k, kind], found.repeated[k, kind]
-            if own.any():
-                late = own[1] or own[0]
-                when = f"{'from' if own[1] else 'up to'} {found.since[k, kind]:.4g} s"
-                wrong.append(
-                    f"the {sensor} of {name} is {'late' if late > 0 else 'early'} by "
-                    f"{abs(late):.0f} samples ({1e3 * abs(late) * interval:.3g} ms)"
-                    + (f" {when}{' on' if own[1] else ''}" if own[0] != own[1] else "")
-                )
-            elif share > _FROZEN:
-                wrong.append(
-                    f"the {sensor} of {name} repeats its reading in {100 * share:.0f} % of the "
-                    "moving samples"
-                )
-    if wrong:
-        raise Undetermined(
-            "; ".join(wrong),
-            remedy="an array needs all sensors at the same instants: shift its stamps by so much "
-            "(where its clock is its own, by more as time goes on), or take the IMU off the board "
-            "file (--as-drawn goes on as it is)",
-        )

@@ -12,6 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
+from imucalib.calibrators.array.board.log import ArrayLog
+from imucalib.calibrators.array.board.moving import SCALE_TOLERANCE
+from imucalib.calibrators.array.board.rests import RestFit
+from imucalib.rests.segments import Segments
 
 _FEWEST = 5  # turns from which on their scatter says how good they are
 _LEAST = np.radians(10.0)  # of gravity, below which a turn says nothing
@@ -30,6 +34,47 @@ class BoardTurns:
     sd: float
     count: int
     misfit: float
+
+
+@dataclass(frozen=True)
+class GyroScale:
+    """The gyros' common scale, readings (1 + value) ω. tolerance : sd by the data sheets alone;
+    turns : what the turns between rests say, or None"""
+
+    value: float
+    sd: float
+    tolerance: float
+    turns: BoardTurns | None
+
+
+def gyro_scale(tolerance: float, turns: BoardTurns | None) -> GyroScale:
+    """Data sheets and turns together."""
+    if turns is None:
+        return GyroScale(0.0, tolerance, tolerance, None)
+    share = tolerance**2 / (tolerance**2 + turns.sd**2)
+    return GyroScale(share * turns.scale, tolerance * float(np.sqrt(1.0 - share)), tolerance, turns)
+
+
+def scale_by_turns(
+    log: ArrayLog, segments: Segments, rests: RestFit, gain: Array, factor: Array
+) -> GyroScale:
+    """The common scale of the gyros, each corrected by its own gain.
+
+    Their rate is weighed as in the motion, which the positions stand on: where a bent response had
+    passed for a gain, the plain mean of eight held an eighth of that, and the size a quarter; the
+    motion's rate did not. Data sheets leave the mean of all axes uniform within each one's
+    tolerance.
+
+    gain : (K, 3, 3), reading = gain · rate; factor : (K,) of each gyro's noise in motion
+    """
+    weight = factor**-2 / np.sum(factor**-2)
+    rate = np.einsum("kij,nkj->ni", weight[:, None, None] * np.linalg.inv(gain), log.rate)
+    middle = 0.5 * (segments.start + segments.stop)
+    still = np.einsum("kij,nkj->nki", rests.rotations, segments.mean)
+    up = rests.correct(still, middle).mean(axis=1)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    turns = common_scale(log.t, rate, ~log.clipped, up, segments.start, segments.stop)
+    return gyro_scale(SCALE_TOLERANCE / float(np.sqrt(9.0 * len(gain))), turns)
 
 
 def common_scale(

@@ -13,11 +13,12 @@ from scipy.ndimage import uniform_filter1d
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board.moving import SLOWEST
-from imucalib.calibrators.array.fusion.instrument import Instrument, Pair, Stretch, along
-from imucalib.calibrators.array.fusion.noise import ChipNoise
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
+from imucalib.calibrators.array.fusion.instrument import Instrument, Stretch, along
+from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.core.course import slope_of
 from imucalib.estimators.array.fusion import FusedMotion, Sensed, compute_precision, fuse_samples
+from imucalib.estimators.array.noise import ChipNoise
+from imucalib.estimators.array.samples import Pair, find_sides
 
 #: Times its range that a clipped rate is first thought to be; times that, where it led to an answer
 #: inside the range; weight of that guess; share of one gyro's say along an axis below which gyros
@@ -148,22 +149,19 @@ class _Rounds:
         self.late = instrument.beyond.late(self.t, None if age is None else np.nan_to_num(age))
         self.share = [np.ones((*shape, 1)), np.ones((*shape, 1))]
         self.motion: FusedMotion | None = None
-        near = find_adjoining(self.t)
-        self.beside = np.column_stack([np.append(False, near), np.append(near, False)])
+        usual = float(np.median(np.diff(self.t))) if len(self.t) > 1 else 0.0
+        self.beside = find_sides(self.t, _LOST * usual)
 
     def next(self, turn: int) -> None:
         """One more round."""
         variance = self._variance()
-        one, two = (
-            np.where(on, share, 0.0) / v
-            for on, share, v in zip(self.live, self.share, variance, strict=True)
-        )
-        self.weight = one, two
+        every = zip(self.live, self.share, variance, strict=True)
+        self.weight = Pair(*(np.where(on, share, 0.0) / v for on, share, v in every))
         self.sensed = Sensed(
             force=self.less[0],
             rate=self.less[1],
-            force_precision=compute_precision(self.axes[0], one),
-            rate_precision=compute_precision(self.axes[1], two),
+            force_precision=compute_precision(self.axes[0], self.weight[0]),
+            rate_precision=compute_precision(self.axes[1], self.weight[1]),
             late=self.late,
         )
         before = self.first if self.motion is None else self.motion.rate
@@ -220,7 +218,7 @@ class _Rounds:
             spin = np.broadcast_to(motion.spin[:, None], second.shape)
             swing = along(self.axes[1], spin) ** 2
             second = second + span**2 / 12.0 * ~self.timed[..., None] * swing
-        return first, second
+        return Pair(first, second)
 
     def _inside(self, motion: FusedMotion) -> Flags:
         """(T, K, 3) clipped axes of samples that no gyro sees whole, whose fused rate lies inside
@@ -253,15 +251,14 @@ class _Rounds:
         if self.tied and beyond.lagging and len(self.t) > _SHORT:
             more = beyond.evaluate_lags(seen.set_courses(self.beside))
             force, gyro = force + _if_smooth(more[0]), gyro + _if_smooth(more[1])
-        return self.read[0] - force, self.read[1] - gyro
+        return self.read.less(Pair(force, gyro))
 
     def _expose(self, motion: FusedMotion) -> BoardMotion:
         """The motion as effects take it."""
         felt = motion.predict_force(self.instrument.r)
         return board_motion(
-            imus=self.instrument.imus,
-            rotations=self.instrument.beyond.rotations,
-            t=self.t,
+            self.instrument.beyond,
+            self.t,
             rate=motion.rate,
             spin=motion.spin,
             force=felt,
@@ -273,8 +270,8 @@ class _Rounds:
         rate = motion.rate[:, None]
         if self.late is not None:
             rate = rate + np.matmul(self.late, motion.spin[:, None, :, None])[..., 0]
-        off = self.less[0] - motion.predict_force(self.instrument.r)
-        return along(self.axes[0], off), along(self.axes[1], self.less[1] - rate)
+        off = self.less.less(Pair(motion.predict_force(self.instrument.r), rate))
+        return Pair(*map(along, self.axes, off))
 
 
 def _if_smooth(more: Array) -> Array | float:
@@ -283,12 +280,6 @@ def _if_smooth(more: Array) -> Array | float:
     power = float(np.sum(more**2))
     goes_on = power > 0.0 and float(np.sum(more[1:] * more[:-1])) > _GOES_ON * power
     return more if goes_on else 0.0
-
-
-def find_adjoining(t: Array) -> Flags:
-    """(T - 1,) whether a sample and the next are neighbours, none being lost between them."""
-    step = np.diff(t)
-    return np.asarray(step < _LOST * np.median(step)) if step.size else np.zeros(0, np.bool_)
 
 
 _SLOW = 0.3  # share of the usual interval by which neighbours may be off

@@ -20,25 +20,28 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad, effect_covariance
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
-from imucalib.calibrators.array.motion.effect_blocks import AT_REST
-from imucalib.calibrators.array.motion.linear_part import slope_at_rest
-from imucalib.calibrators.array.motion.terms import Term, evaluate_lags
+from imucalib.calibrators.array.board.log import NEAR_RANGE
+from imucalib.calibrators.array.motion.laws import AT_REST
+from imucalib.calibrators.array.motion.terms import (
+    BoardMotion,
+    Mounted,
+    Term,
+    board_motion,
+    evaluate_lags,
+    gain_and_offset,
+)
 from imucalib.core.effect import MOTION, Response, cross_matrix
 from imucalib.core.eigen import eigen
 from imucalib.effects import known
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.array.fusion import FusedMotion, Sensed
-from imucalib.estimators.array.samples import slope_of, turning
+from imucalib.estimators.array.samples import Pair, slope_by_motion, turning
 from imucalib.units import DEG, STANDARD_GRAVITY
 
-#: Of accelerometers and of gyros, in SI units.
-Pair = tuple[Array, Array]
 _AGE = "sample_age"
 _SMALL = 1e-9  # share of an effect beyond its linear part that is rounding
 _FLAT = 1e-12  # of the largest variance of an effect's parameters, below which it is rounding
 _FEWEST_CLOCKS = 3  # IMUs of which each one's clock shows beside the others'
-_AT_RANGE = 0.998  # share of the range from which a reading counts as clipped
 
 
 def along(axes: Array, vectors: Array) -> Array:
@@ -76,13 +79,9 @@ class _Part:
     offset: Array
 
     @property
-    def gyro(self) -> bool:
-        return self.term.effect.channel == "angular_rate"
-
-    @property
     def late(self) -> bool:
         """Whether it adds dω/dt to a gyro's rate, and nothing else."""
-        return self.gyro and set(self.term.effect.needs) <= {"spin", _AGE}
+        return self.term.gyro and set(self.term.effect.needs) <= {"spin", _AGE}
 
     @property
     def lags(self) -> bool:
@@ -91,9 +90,7 @@ class _Part:
 
     def evaluate(self, motion: BoardMotion) -> Array:
         """(T, K, 3) in board axes."""
-        truth = motion.truth.turning.rate if self.gyro else motion.truth.force
-        whole = self.term.reading(self.term.columns(motion))
-        return whole - along(self.gain, motion.context.in_common(truth)) - self.offset
+        return self.term.beyond(motion, self.gain, self.offset)
 
 
 @dataclass(frozen=True)
@@ -124,22 +121,22 @@ class NonlinearTerms:
     def evaluate(self, motion: BoardMotion) -> Pair:
         """(T, K, 3) m/s² and rad/s that corrected readings still hold, in board axes, of lags the
         first order; without what `late` tells."""
-        found = np.zeros((*motion.shape, 3)), np.zeros((*motion.shape, 3))
+        found = Pair(np.zeros((*motion.shape, 3)), np.zeros((*motion.shape, 3)))
         for part in self.parts:
             if not part.late:
-                found[part.gyro][...] += part.evaluate(motion)
+                found[part.term.gyro][...] += part.evaluate(motion)
         return self._correct(found)
 
     def evaluate_lags(self, motion: BoardMotion) -> Pair:
         """The same of lags beyond their first order, where the motion has its courses."""
         lagging = self.lagging
-        less = evaluate_lags([part.term for part in lagging], motion)
+        more = evaluate_lags([part.term for part in lagging], motion)
         for part in lagging:
-            less[part.gyro][...] += part.evaluate(motion)
-        return self._correct((-less[0], -less[1]))
+            more[part.term.gyro][...] -= part.evaluate(motion)
+        return self._correct(more)
 
     def _correct(self, found: Pair) -> Pair:
-        return along(self.back[0], found[0]), along(self.back[1], found[1])
+        return Pair(*map(along, self.back, found))
 
     def late(self, t: Array, age: Array | None) -> Array | None:
         """(T, K, 3, 3) s: corrected gyros read ω + late dω/dt at times t (T,) s. age : (T, K) unit
@@ -148,66 +145,52 @@ class NonlinearTerms:
         if not parts:
             return None
         out = np.zeros((len(t), len(self.imus), 3, 3))
-        for axis in range(3):
-            motion = board_motion(
-                imus=self.imus,
-                rotations=self.rotations,
-                t=t,
-                spin=np.broadcast_to(np.eye(3)[axis], (len(t), 3)),
-                age=age,
-            )
+        for axis, one in enumerate(np.eye(3)):
+            motion = board_motion(self, t, spin=np.broadcast_to(one, (len(t), 3)), age=age)
             for part in parts:
-                out[..., axis] += part.term.reading(part.term.columns(motion))
+                out[..., axis] += part.term.reading(motion)
         return np.asarray(self.back[1] @ out)
 
 
 def read_nonlinear(calibration: Calibration) -> NonlinearTerms:
     """From the effects that an array's calibration lists."""
-    imus = tuple(t.name for t in calibration.triads)
-    rotations = np.array([t.rotation for t in calibration.triads])
-    parts, left_out, span = [], [], 0.0
-    gains = np.tile(np.eye(3), (2, len(imus), 1, 1))
+    triads, parts, left_out, span = calibration.triads, [], [], 0.0
+    gains = np.tile(np.eye(3), (2, len(triads), 1, 1))
+    imus, rotations = tuple(t.name for t in triads), np.array([t.rotation for t in triads])
+    bare = NonlinearTerms(imus, rotations, (), Pair(*gains), 0.0, ())
     for block in calibration.facts.get("effects", ()):
         name = str(block["effect"])
         term = _term_of(block, imus)
         if term is None:
             left_out.append(name)
             continue
-        gain, offset = slope_at_rest(term, imus, rotations)
+        gain, offset = term.slope_at_rest(bare)
         if name.startswith(AT_REST):  # the rests' gains stand without it
             gain = np.zeros_like(gain)
         part = _Part(term, gain, offset)
-        gains[int(part.gyro)] += gain
-        if not _is_linear(part, imus, rotations):
+        gains[int(term.gyro)] += gain
+        if not _is_linear(part, bare):
             parts.append(part)
         if term.aged:
             span = 1e-3 * abs(float(term.value[0]))
-    one, two = np.asarray(np.linalg.inv(gains), np.float64)
-    return NonlinearTerms(
-        imus=imus,
-        rotations=rotations,
-        parts=tuple(parts),
-        back=(one, two),
-        span=span,
-        left_out=tuple(left_out),
-    )
+    back = Pair(*np.linalg.inv(gains))
+    return replace(bare, parts=tuple(parts), back=back, span=span, left_out=tuple(left_out))
 
 
-def _is_linear(part: _Part, imus: tuple[str, ...], rotations: Array) -> bool:
+def _is_linear(part: _Part, board: Mounted) -> bool:
     """Whether the file's gain and offset hold all of it: tried at some motions."""
-    n, rng = 16, np.random.default_rng(0)
-    force = 10.0 * rng.normal(size=(n, len(imus), 3))
+    n, k, rng = 16, len(board.imus), np.random.default_rng(0)
+    force = 10.0 * rng.normal(size=(n, k, 3))
     motion = board_motion(
-        imus=imus,
-        rotations=rotations,
-        t=np.arange(float(n)),
+        board,
+        np.arange(float(n)),
         rate=10.0 * rng.normal(size=(n, 3)),
         spin=500.0 * rng.normal(size=(n, 3)),
         force=force,
         jerk=100.0 * force,
-        age=rng.uniform(-0.5, 0.5, (n, len(imus))),
+        age=rng.uniform(-0.5, 0.5, (n, k)),
     )
-    whole = part.term.reading(part.term.columns(motion))
+    whole = part.term.reading(motion)
     return bool(np.abs(part.evaluate(motion)).max() <= _SMALL * np.abs(whole).max())
 
 
@@ -251,14 +234,10 @@ class Doubt:
         moved = np.matmul(force, turning(motion.rate, motion.spin)[:, None])  # by a place
         across = moved.transpose(0, 2, 1, 3).reshape(-1, 9, 3 * len(r))
         out = np.matmul(across @ self.places, across.transpose(0, 2, 1))
-        felt = motion.predict_force(r)
-        own = np.zeros((*felt.shape, 12))  # by a triad's gain and bias
-        for i in range(3):
-            own[..., i, 3 * i : 3 * i + 3], own[..., i, 9 + i] = felt, 1.0
-        by = np.matmul(force, own)
+        by = np.matmul(force, gain_and_offset(motion.predict_force(r)))
         out += np.matmul(by @ self.triads, by.swapaxes(2, 3)).sum(axis=1)
         for term, root in self.effects:
-            gain = rate if term.effect.channel == "angular_rate" else force
+            gain = rate if term.gyro else force
             columns = term.columns(seen)
             by = np.matmul(gain, columns.basis.swapaxes(0, 1))  # (T, K, 9, m)
             by = by.sum(axis=1, keepdims=True) if columns.shared else by
@@ -288,7 +267,7 @@ def _answers(motion: FusedMotion, sensed: Sensed, r: Array) -> Pair:
     """(T, K, 9, 3) what a reading's error does to the motion, of accelerometers and of gyros."""
     t, k = sensed.force.shape[:2]
     place = np.concatenate([np.ones((k, 1)), r], axis=1)
-    slope = slope_of(motion.rate).reshape(t, 3, 4, 9).transpose(0, 1, 3, 2)
+    slope = slope_by_motion(motion.rate).reshape(t, 3, 4, 9).transpose(0, 1, 3, 2)
     arms = np.matmul(slope, place.T).transpose(0, 3, 2, 1)  # (T, K, 9, 3)
     whole = motion.covariance[:, None]
     force = np.matmul(whole, np.matmul(arms, sensed.force_precision))
@@ -296,7 +275,7 @@ def _answers(motion: FusedMotion, sensed: Sensed, r: Array) -> Pair:
     seen[:, :, 6:] = sensed.rate_precision
     if sensed.late is not None:
         seen[:, :, 3:6] = np.matmul(sensed.late.swapaxes(2, 3), sensed.rate_precision)
-    return force, np.asarray(np.matmul(whole, seen))
+    return Pair(force, np.matmul(whole, seen))
 
 
 def doubt_of(calibration: Calibration, places: Array) -> Doubt | None:
@@ -389,7 +368,7 @@ class Instrument:
     @property
     def axes(self) -> Pair:
         """(K, 3, 3), in its rows what each axis of a sensor senses, in board axes."""
-        return (
+        return Pair(
             np.array([t.rotation.T @ t.gain for t in self.triads]),
             np.array([t.rotation.T @ t.gyro_gain for t in self.triads]),
         )
@@ -403,15 +382,15 @@ class Instrument:
                 (read.rate, [t.rate for t in self.triads]),
             )
         )
-        if self.biases is None:
-            return force, rate
-        return force - self.biases.force, rate - self.biases.rate_at(read.t)
+        found = Pair(force, rate)
+        known = self.biases
+        return found if known is None else found.less(Pair(known.force, known.rate_at(read.t)))
 
     def find_clipped(self, read: Stretch) -> tuple[Flags, Flags]:
         """(T, K, 3) which readings are at the end of their range."""
         return (
-            np.asarray(np.abs(read.acceleration) >= _AT_RANGE * self.accelerometer_range),
-            np.asarray(np.abs(read.rate) >= _AT_RANGE * self.gyroscope_range),
+            np.asarray(np.abs(read.acceleration) >= NEAR_RANGE * self.accelerometer_range),
+            np.asarray(np.abs(read.rate) >= NEAR_RANGE * self.gyroscope_range),
         )
 
 

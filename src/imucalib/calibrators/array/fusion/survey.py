@@ -20,9 +20,9 @@ from imucalib.calibrators.array.board.rests import ATTITUDES, is_contradicted
 from imucalib.calibrators.array.board.streams import Held, repeats
 from imucalib.calibrators.array.fusion.fuse import find_turning, fuse
 from imucalib.calibrators.array.fusion.instrument import Biases, Instrument, Stretch, along
-from imucalib.calibrators.array.fusion.noise import ChipNoise, at_rest, fit_noise
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
+from imucalib.calibrators.array.motion.terms import BoardMotion, board_motion
 from imucalib.errors import Undetermined, UnreadableInput
+from imucalib.estimators.array.noise import ChipNoise, at_rest, fit_noise
 from imucalib.estimators.array.sample_age import fit_sample_age
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import Segments, find_segments
@@ -241,7 +241,7 @@ def _add_rests(segments: Segments, order: Mapping[int, int], instrument: Instrum
         wrong = [
             part.term.name
             for part in instrument.beyond.parts
-            if part.gyro
+            if part.term.gyro
             and not part.late
             and is_contradicted(rate[:, whole], part.evaluate(motion)[:, whole])
         ]
@@ -258,12 +258,7 @@ def _add_rests(segments: Segments, order: Mapping[int, int], instrument: Instrum
 def _still(instrument: Instrument, force: Array) -> BoardMotion:
     """The board at rest under forces (n, 3)."""
     each = np.repeat(force[:, None], len(instrument.triads), axis=1)
-    return board_motion(
-        imus=instrument.imus,
-        rotations=instrument.beyond.rotations,
-        t=np.arange(float(len(force))),
-        force=each,
-    )
+    return board_motion(instrument.beyond, np.arange(float(len(force))), force=each)
 
 
 def _walk(segments: Segments, middle: Array, rate: Array) -> tuple[Array, Array]:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.calibrators.array.motion.setup import Setup, describe_motion, select_with_neighbours
-from imucalib.calibrators.array.motion.state import ArrayState, fit_motion_at
-from imucalib.calibrators.array.motion.terms import Term
+from imucalib.calibrators.array.motion.setup import Setup
+from imucalib.calibrators.array.motion.state import ArrayState, fit_motion_at, subtract_terms
+from imucalib.calibrators.array.motion.terms import Term, board_motion
 from imucalib.core.effect import Context, Response, Truth
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
-from imucalib.estimators.array.samples import Readings, Sampled, fit_samples
+from imucalib.estimators.array.samples import Sampled, fit_samples
 
 _GROUP = 8  # samples that learn or vote together where all are in the search
 _READINGS = 20_000  # samples times IMUs that are worked on at a time
@@ -27,13 +27,13 @@ PHASE = 0.01
 
 @dataclass(frozen=True)
 class Beat:
-    """Steady part of a sawtooth: φ(t) = frequency (t - at) + phase, in turns; Hz, negative when the
-    age falls with time; scatter : rms turns by which the phase leaves that line"""
+    """Steady part of a sawtooth: φ(t) = hz (t - at_s) + phase_turns, in turns; Hz, negative when
+    the age falls with time; wander_turns : rms by which the phase leaves that line"""
 
-    frequency: float
-    phase: float
-    at: float
-    scatter: float
+    hz: float
+    phase_turns: float
+    at_s: float
+    wander_turns: float
 
 
 def beats(clock: SampleAge, t: Array, rows: Index) -> Iterator[Beat | None]:
@@ -53,7 +53,7 @@ def beats(clock: SampleAge, t: Array, rows: Index) -> Iterator[Beat | None]:
 def estimate_clock(state: ArrayState, *, every: bool = False) -> SampleAge | None:
     """Sawtooth ages from the samples outside of the search, or from every one; None where no gyro
     shows a line."""
-    amid = select_with_neighbours(state.setup.moving)
+    amid = state.setup.moving.amid
     learning = amid if every else _select_learning(state.setup)[0]
     if len(learning) < _FEWEST:
         return None
@@ -64,7 +64,7 @@ def estimate_clock(state: ArrayState, *, every: bool = False) -> SampleAge | Non
 
 def _select_learning(setup: Setup) -> tuple[Index, Flags]:
     """Samples from which clocks are learned, and (T,) those of the setup that vote on them."""
-    amid = select_with_neighbours(setup.moving)
+    amid = setup.moving.amid
     learning = amid[~np.isin(amid, setup.chosen)]
     if len(learning) >= _TRAIN * len(amid):
         return learning, np.ones(len(setup.rows), dtype=np.bool_)
@@ -101,7 +101,7 @@ def add_phases(state: ArrayState) -> ArrayState:
     if len(rest) < len(state.terms):
         return state
     effect = phases_of(clock)
-    n = state.setup.triads * len(effect.each)
+    n = state.setup.board.count * len(effect.each)
     term = Term(effect.name, effect, None, PHASE * np.eye(n), np.zeros(n), np.ones(n), found=False)
     return replace(state, terms=(*rest, term))
 
@@ -124,7 +124,7 @@ def phases_of(clock: Response) -> Response:
 def _everywhere(state: ArrayState, rows: Index) -> tuple[Array, Array]:
     """(N, K, 3) gyro residuals and (N, 3) dω/dt at some samples, with the clocks still in them, and
     zero elsewhere."""
-    n, k = len(state.setup.moving.t), state.setup.triads
+    n, k = len(state.setup.moving.t), state.setup.board.count
     off, spin = np.zeros((n, k, 3)), np.zeros((n, 3))
     some = max(_READINGS // k, 1)
     for a in range(0, len(rows), some):  # of many IMUs the columns of all samples would be large
@@ -137,14 +137,13 @@ def _everywhere(state: ArrayState, rows: Index) -> tuple[Array, Array]:
 
 def _fit_at(state: ArrayState, rows: Index) -> Sampled:
     """The motion of other samples under what was found."""
-    setup = replace(state.setup, rows=rows)
-    readings, sampled = setup.readings, fit_motion_at(setup, state.r, state.noise)
-    plain = [term for term in state.terms if not term.aged]
+    setup, plain = replace(state.setup, rows=rows), tuple(t for t in state.terms if not t.aged)
+    sampled = fit_motion_at(setup, state.r, state.noise)
     for _ in range(2 if plain else 0):
-        motion = describe_motion(setup, sampled, np.zeros_like(sampled.force))
-        acceleration, rate = readings.acceleration.copy(), readings.rate.copy()
-        for term in plain:
-            columns = term.columns(motion)
-            (rate if columns.gyro else acceleration)[...] -= term.reading(columns)
-        sampled = fit_samples(Readings(acceleration, rate), sampled.weights, state.r, sampled.rate)
+        one, order = sampled, setup.order
+        motion = board_motion(
+            setup.board, setup.t, order=order, rate=one.rate, spin=one.spin, force=one.force
+        )
+        rest = subtract_terms(replace(state, setup=setup, terms=plain, motion=motion))
+        sampled = fit_samples(rest, sampled.weights, state.r, sampled.rate)
     return sampled

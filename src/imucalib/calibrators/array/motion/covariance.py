@@ -1,27 +1,31 @@
-"""The covariance that positions are stated with, and the fit of every sample behind it."""
+"""The covariance that positions are stated with, and where parts of a motion do not agree on it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.board.moving import Moving
-from imucalib.calibrators.array.motion.setup import Setup, every_sample, motion_at
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
-    fit_jointly,
-    fit_motion_at,
-    refit_motion,
+    measure_dispersion,
     subtract_terms,
 )
-from imucalib.calibrators.array.motion.terms import select_lagging
 from imucalib.core.eigen import eigen
-from imucalib.estimators.array.gram import Columns, gram, inverse_root, scores
-from imucalib.estimators.array.noise import MotionNoise
-from imucalib.estimators.array.samples import Sampled, Weights, fit_samples, reweigh
+from imucalib.estimators.array.noise import weigh
+from imucalib.estimators.array.samples import (
+    Columns,
+    Sampled,
+    fit_samples,
+    gradient,
+    gram,
+    inverse_root,
+    reweigh,
+    scores,
+)
+from imucalib.posterior.closed_loop.found import Unexplained
 
 #: What is not explained where positions differ, with what the parts differ by.
 POSITIONS = "positions against "
@@ -39,6 +43,12 @@ class Uneven:
     p: float
     nats: float
     spread: Array
+
+    @property
+    def unexplained(self) -> Unexplained:
+        """The same as structure that stays."""
+        name = POSITIONS + self.follows
+        return Unexplained(name, self.follows, "probe", 1.0 - self.p, self.nats)
 
 
 def uneven(state: ArrayState, pulls: Array, dispersion: float) -> Uneven | None:
@@ -114,18 +124,23 @@ def information(state: ArrayState) -> tuple[float, float]:
 
     def at(shift: Array, sampled: Sampled) -> Sampled:
         """Weights and motion, fitted anew at a shift (6 K,) of all positions and gyro offsets."""
-        moved = replace(readings, rate=readings.rate - shift[count:].reshape(-1, 3))
+        moved = readings._replace(rate=readings.rate - shift[count:].reshape(-1, 3))
         for _ in range(_ROUNDS):
-            weights = _weights(state.noise, sampled)
+            weights = weigh(state.noise, sampled.off, sampled.rate)
             sampled = fit_samples(moved, weights, r + shift[:count].reshape(-1, 3), sampled)
         return sampled
 
-    weights = _weights(state.noise, state.sampled, rows)
+    weights = weigh(state.noise, state.sampled.off.take(rows), state.sampled.rate[rows])
     first = fit_samples(readings, weights, r, state.sampled.rate[rows])
     start = at(np.zeros(2 * count), first)
-    bases = (np.broadcast_to(x, (len(r), len(rows), 3, 3)) for x in (start.turn, np.eye(3)))
-    blocks = [Columns(np.asarray(b), bool(gyro), False) for gyro, b in enumerate(bases)]
-    whole = gram(start, blocks, np.arange(len(rows))).matrix
+    every = np.arange(len(rows))
+
+    def columns(found: Sampled) -> list[Columns]:
+        """Of all positions and gyro offsets."""
+        bases = (np.broadcast_to(x, (len(r), len(rows), 3, 3)) for x in (found.turn, np.eye(3)))
+        return [Columns(np.asarray(b), bool(gyro), False) for gyro, b in enumerate(bases)]
+
+    whole = gram(start, columns(start), every).matrix
 
     def share(which: Index) -> float:
         """Mean over directions that weigh alike, by one shift of all of them and back."""
@@ -135,30 +150,13 @@ def information(state: ArrayState) -> tuple[float, float]:
         signs = np.where(np.arange(int(seen.sum())) % 2, -1.0, 1.0)
         shift = np.zeros(2 * count)
         shift[which] = _SHIFT * (vectors[:, seen] / np.sqrt(values[seen])) @ signs
-        answer = 0.5 * (_score(at(-shift, start)) - _score(at(shift, start)))
+        less, more = at(-shift, start), at(shift, start)
+        one, two = (gradient(found, columns(found), every) for found in (less, more))
+        answer = 0.5 * (one - two)
         size = shift[which] @ own @ shift[which]
         return float(np.clip(shift @ answer / size, _LEAST, 1.0))
 
     return share(np.arange(3, count)), share(np.arange(count, 2 * count))
-
-
-def _score(found: Sampled) -> Array:
-    """(6 K,) of all positions and gyro offsets."""
-    heavy = found.off.acceleration * found.weights.acceleration[..., None]
-    of_places = np.einsum("tij,tki->kj", found.turn, heavy)
-    of_offsets = np.einsum("tki,tk->ki", found.off.rate, found.weights.rate)
-    return np.concatenate([of_places.ravel(), of_offsets.ravel()])
-
-
-def _weights(
-    noise: tuple[MotionNoise, MotionNoise], sampled: Sampled, rows: Index | slice = slice(None)
-) -> Weights:
-    speed = np.linalg.norm(sampled.rate[rows], axis=1)
-    a, g = (
-        one.weight(np.sum(off[rows] ** 2, axis=2), speed)
-        for one, off in zip(noise, (sampled.off.acceleration, sampled.off.rate), strict=True)
-    )
-    return Weights(a, g)
 
 
 def sandwich(state: ArrayState) -> tuple[Array, Array, Array]:
@@ -171,9 +169,9 @@ def sandwich(state: ArrayState) -> tuple[Array, Array, Array]:
     few samples do not make it singular.
     """
     base, inner = state.base, state.setup.inner
-    known = base.free(gram(reweigh(state.sampled, *information(state)), base.blocks, inner))
+    known = base.multiply(reweigh(state.sampled, *information(state)), inner)
     prior = np.diag(base.prior)
-    own = base.along(scores(state.sampled, base.blocks, inner))
+    own = scores(state.sampled, base.blocks, inner) @ base.turn
     share = len(inner) / (len(inner) + len(base.prior))
     scatter = share * (own.T @ own) + (1.0 - share) * known.matrix + prior
     bread = np.asarray(np.linalg.inv(known.matrix + prior))
@@ -186,54 +184,26 @@ def sd_of_few(state: ArrayState, count: int) -> Array:
     is what was fitted."""
     base, inner = state.base, state.setup.inner
     rows = inner[np.linspace(0, len(inner) - 1, count).astype(np.intp)]
-    known = base.free(gram(state.sampled, base.blocks, rows)).matrix + np.diag(base.prior)
+    known = base.multiply(state.sampled, rows).matrix + np.diag(base.prior)
     variance = np.sum(inverse_root(known)[: state.positions] ** 2, axis=1)
     return np.asarray(np.sqrt(np.median(variance.reshape(-1, 3), axis=0)))
 
 
-def add_unevenness(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven | None]:
-    """The state with that covariance, positions known no better than parts of the motion agree on
-    them, and where they do not; factor : how many times fewer samples noise that neighbours share
-    leaves."""
+def add_unevenness(
+    state: ArrayState, shifts: Iterable[Array] = ()
+) -> tuple[ArrayState, Uneven | None]:
+    """The state with that covariance, of as many fewer samples as noise that neighbours share
+    leaves; positions known no better than parts of the motion agree on them, nor than by what moves
+    them and is not corrected; and where the parts do not agree.
+
+    shifts : (d,) m each, of what is not corrected
+    """
+    factor = measure_dispersion(state, gyro=False)
     covariance, by_noise, pulls = sandwich(state)
     covariance *= factor
-    found = uneven(state, pulls, factor)
+    found, own = uneven(state, pulls, factor), np.arange(state.positions)
     if found is not None:
-        at = np.arange(state.positions)
-        covariance[at, at] += found.spread**2
+        covariance[own, own] += found.spread**2
+    for moved in shifts:
+        covariance[: len(own), : len(own)] += np.outer(moved, moved)
     return replace(state, covariance=covariance, by_noise=by_noise), found
-
-
-#: Readings of one kind, samples times IMUs, that a fit takes where nobody says how many: beyond
-#: them memory and time grow, and positions are known far better than they repeat.
-READINGS = 60_000
-_FOLLOWED = 1  # round of the motion at new samples, so that a fit there begins with its noise
-
-
-def samples_used(moving: Moving, asked: int | None) -> int:
-    """How many informative samples a fit takes: all, up to what was asked or to `READINGS`."""
-    return min(len(moving.good), asked or max(READINGS // moving.gyros.triads, 1))
-
-
-def on_all(state: ArrayState, most: int) -> ArrayState:
-    """The state at `most` of all informative samples, not settled there. Samples without
-    neighbours serve unless a term needs the force's derivative."""
-    neighbours = any("jerk" in term.effect.needs for term in state.terms)
-    return transfer_to(state, every_sample(state.setup, most, neighbours=neighbours))
-
-
-def fit_all_samples(state: ArrayState, most: int) -> ArrayState:
-    """The joint fit at `most` of all informative samples, with the noise in the shape it has."""
-    return settle_there(on_all(state, most))
-
-
-def settle_there(state: ArrayState) -> ArrayState:
-    """The joint fit at samples that the state was moved to, with the noise in the shape it has."""
-    return fit_jointly(refit_motion(state, _FOLLOWED), shaped=False)
-
-
-def transfer_to(state: ArrayState, setup: Setup) -> ArrayState:
-    """What was found, at other samples; to be settled there."""
-    sampled = fit_motion_at(setup, state.r, state.noise)
-    motion = motion_at(setup, sampled, None, courses=bool(select_lagging(state.terms)))
-    return replace(state, setup=setup, sampled=sampled, motion=motion)

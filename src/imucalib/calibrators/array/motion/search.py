@@ -21,21 +21,22 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.board.catalogue import (
-    Scope,
+from imucalib.calibrators.array.motion.ages import add_estimated_clock, add_phases
+from imucalib.calibrators.array.motion.laws import (
+    CURVE,
     array_catalogue,
+    candidates_of,
     find_effect,
+    find_skipped,
     twins_of,
 )
-from imucalib.calibrators.array.motion.ages import add_estimated_clock, add_phases
-from imucalib.calibrators.array.motion.base import PositionBase
-from imucalib.calibrators.array.motion.laws import candidates_of
-from imucalib.calibrators.array.motion.setup import Setup, motion_at, select_searched
+from imucalib.calibrators.array.motion.setup import select_searched
 from imucalib.calibrators.array.motion.state import (
     ArrayState,
+    PositionBase,
     fit_jointly,
-    fit_motion_at,
     measure_dispersion,
+    size_in_words,
 )
 from imucalib.calibrators.array.motion.terms import (
     OPEN,
@@ -44,14 +45,14 @@ from imucalib.calibrators.array.motion.terms import (
     typical_columns,
     typical_of,
 )
+from imucalib.calibrators.request import Request
 from imucalib.core.effect import Effect, Response
 from imucalib.errors import Undetermined
-from imucalib.estimators.array.gram import Columns, gram, inverse_root, marginalize
 from imucalib.estimators.array.noise import MotionNoise, log_density
-from imucalib.estimators.array.samples import reweigh
-from imucalib.posterior.closed_loop.found import Score
+from imucalib.estimators.array.samples import inverse_root, marginalize, reweigh
+from imucalib.posterior.closed_loop.found import CheckedError, Score, Step, Unexplained
 from imucalib.posterior.closed_loop.words import SelectedModel, of_each, scores_of, select_model
-from imucalib.posterior.odds import ABSORBED, FINE_SIZES, SEARCHES
+from imucalib.posterior.odds import ABSORBED, CERTAIN, FINE_SIZES, SEARCHES
 from imucalib.posterior.search.catalogue import Member, log_odds
 from imucalib.posterior.search.driver import search_until_settled
 from imucalib.posterior.search.gram import Grams, Multiplied
@@ -111,6 +112,22 @@ class MotionProblem(Contest):
         moves = float(np.sqrt(np.sum(np.mean(self.moves[:, at] ** 2, axis=0))))
         return after / max(before, 1e-300), float(np.sqrt(max(after, 0.0))), moves
 
+    def score(self, posterior: Posterior) -> tuple[Score, ...]:
+        """Of every component; what no motion shows, nothing is left of."""
+        shown = (self.measure(c) for c in range(len(self.components)))
+        left = [(share if length > OPEN else 0.0, length, 0.0) for share, length, _ in shown]
+        return scores_of(self, posterior, left)
+
+    @property
+    def absorbed(self) -> dict[str, float]:
+        """What no motion shows, and by how many m rms its typical size moves the positions."""
+        found = {}
+        for c, component in enumerate(self.components):
+            share, strength, moves = self.measure(c)
+            if component.named and (strength <= OPEN or share < ABSORBED):
+                found[component.name] = moves
+        return found
+
     def of_set(self, hypothesis: Hypothesis) -> tuple[Member, ...]:
         """What a set adds to the model."""
         return tuple(self.choices[p.choice].member for p in hypothesis.picks)
@@ -169,12 +186,11 @@ def products(
     odds = log_odds(tuple(every.components))
     if among is not None:
         odds = np.array([among[one.name] for one in every.components])
-    base = PositionBase(setup, state.sampled, motion, state.r, own)
     kappa = [measure_dispersion(state, gyro=gyro) for gyro in (False, True)]
     a, g = (n.information / k for n, k in zip(state.noise, kappa, strict=True))
     sampled = reweigh(state.sampled.take(rows), a, g)
-    blocks = [Columns(b.basis[:, rows], b.gyro, b.shared) for b in base.blocks]
-    found = base.free(gram(sampled, [*blocks, *every.blocks], np.arange(len(rows))))
+    base = PositionBase(replace(state, sampled=sampled, motion=motion.take(rows)), own)
+    found = base.multiply(sampled, np.arange(len(rows)), every.blocks)
     b = len(base.prior)
     theta = np.concatenate(
         [base.pull / base.prior, _collect_values(state, every.choices, every.width)]
@@ -242,6 +258,65 @@ class MotionSearch:
         """What is told."""
         return self.said.problem.of_set(self.said.hypothesis)
 
+    def drop_laws(self, request: Request) -> ArrayState | None:
+        """The fit without laws, which have no name, unless these are to be corrected; None where it
+        runs away."""
+        named = [m for m in self.chosen if request.curves or self.said.problem.is_named(m.name)]
+        known = {term.name for term in self.state.found}
+        if known == {one.name for one in named} | (known & set(request.declare)):
+            return self.state
+        return fit_with_members(self.state, named, request)
+
+    def list_steps(self, final: ArrayState, checks: tuple[CheckedError, ...]) -> tuple[Step, ...]:
+        """What is told and corrected, likeliest first; a place that twins share is theirs together.
+
+        final : the fit with what is corrected; checks : errors before and after
+        """
+        steps = []
+        for place in self.said.places:
+            name = self.said.name(place.component)
+            twins = next((s for s in self.shares.values() if name in dict(s)), ((name, 1.0),))
+            term = next((t for t in final.found if t.name == twins[0][0]), None)
+            if term is None:
+                continue
+            rivals = [
+                (own, share * part)
+                for c, share in place.rivals
+                for own, part in (twins if c == place.component else ((self.said.name(c), 1.0),))
+            ]
+            likely = [r for r in rivals if r[1] > 1.0 - CERTAIN or r[0] == term.name]
+            ranked = sorted(likely, key=lambda r: -r[1])
+            size = size_in_words(final, term)
+            step = replace(
+                self.said.step(place, checks, ranked, size),
+                effect=term.name,
+                aliases=tuple(n for n, _ in likely if n != term.name),
+                certain=place.certain and twins[0][1] > CERTAIN,
+                curve="" if self.said.problem.is_named(name) else term.name.removeprefix(CURVE),
+                formula="",
+            )
+            steps.append(step)
+        return tuple(steps)
+
+    def find_unnamed(self, final: ArrayState) -> dict[Unexplained, Array]:
+        """What is told and has no name, be it corrected or not: laws, and effects of which the data
+        determine no size; with the (d,) m by which each moves the positions, where it is not
+        corrected.
+
+        final : the fit with what is corrected
+        """
+        shifts, own = {}, {term.name for term in final.found}
+        for place in self.said.places:
+            name = self.said.name(place.component)
+            if self.said.problem.is_named(name) and name in own:
+                continue
+            moved = self.said.problem.find_shift(
+                self.said.posterior, self.said.hypothesis, place.component
+            )
+            one = self.said.leave_unexplained(place)
+            shifts[one] = 0.0 * moved if name in own else moved
+        return shifts
+
     @property
     def likely(self) -> Odds:
         """Components that are in any set near the likeliest, or in what is told."""
@@ -252,26 +327,32 @@ class MotionSearch:
 
 
 def search_posterior(
-    base: ArrayState, scope: Scope, whole: MotionSearch | None = None
+    base: ArrayState, request: Request, whole: MotionSearch | None = None
 ) -> MotionSearch:
     """The posterior over what a fitted state lacks, at the set that it tells.
 
-    scope : declared effects stay in the model; whole : the search of a motion of which this is a
+    request : declared effects stay in the model; whole : the search of a motion of which this is a
     part, which starts from what is told there
     """
-    skipped, declared = scope.find_skipped(base.setup.imus), scope.declare
+    skipped, declared = find_skipped(request, base.setup.board.imus), request.declare
     among = None if whole is None else whole.likely
     start = _Held(base, Shares())
     if whole is not None:
-        start = _take_in(start, whole.chosen, scope, None) or start
+        start = _take_in(start, whole.chosen, request, None) or start
+
+    scores, impact = list[tuple[Score, ...]](), dict[str, float]()
 
     def search(held: _Held) -> SelectedModel[MotionProblem]:
         problem, grams = products(held.state, skipped, declared, among)
-        return select_model(problem, hill_climb(problem, grams, problem.picks(held.state)))
+        found = select_model(problem, hill_climb(problem, grams, problem.picks(held.state)))
+        if not scores:
+            scores.append(problem.score(found.posterior))
+            impact.update(problem.absorbed)
+        return found
 
     def take_in(held: _Held, said: SelectedModel[MotionProblem]) -> tuple[_Held, bool] | None:
         chosen = said.problem.of_set(said.hypothesis)
-        grown = _take_in(held, chosen, scope, skipped if whole is None else None)
+        grown = _take_in(held, chosen, request, skipped if whole is None else None)
         if grown is None:
             return None
         # Where the fit is what its products foretold, at the noise that they had, others would say
@@ -279,7 +360,7 @@ def search_posterior(
         away = said.problem.shortfall(said.posterior, said.hypothesis, grown.state)
         away += _noise_gain(held.state.noise, grown.state)
         same = _list_names(said) == grown.names.difference(declared)
-        return replace(grown, first=held.first or _first(said)), same and away < _SETTLED
+        return grown, same and away < _SETTLED
 
     settled = search_until_settled(
         start,
@@ -290,13 +371,12 @@ def search_posterior(
         rounds=SEARCHES,
     )
     held, said = settled.state, settled.found
-    scores, impact = held.first or _first(said)
     lost = _list_names(said).difference(held.names) if settled.refused else ()
     return MotionSearch(
         state=held.state,
         shares=held.shares,
         said=said,
-        scores=scores,
+        scores=scores[0],
         impact=impact,
         rejected=tuple((name, DIVERGED) for name in sorted(lost)),
     )
@@ -304,11 +384,10 @@ def search_posterior(
 
 @dataclass(frozen=True)
 class _Held:
-    """A fitted state, the shares of twins in it, and of the first search its scores and impact."""
+    """A fitted state, and the shares of twins in it."""
 
     state: ArrayState
     shares: Shares
-    first: tuple[tuple[Score, ...], dict[str, float]] | None = None
 
     @property
     def names(self) -> frozenset[str]:
@@ -316,23 +395,18 @@ class _Held:
         return frozenset(term.name for term in self.state.found)
 
 
-def _first(said: SelectedModel[MotionProblem]) -> tuple[tuple[Score, ...], dict[str, float]]:
-    scores = scores_of(said.problem, said.posterior, measure_shown(said.problem))
-    return scores, find_absorbed(said.problem)
-
-
 def _list_names(said: SelectedModel[MotionProblem]) -> frozenset[str]:
     return frozenset(one.name for one in said.problem.of_set(said.hypothesis))
 
 
 def _take_in(
-    held: _Held, chosen: Sequence[Member], scope: Scope, skipped: Collection[str] | None
+    held: _Held, chosen: Sequence[Member], request: Request, skipped: Collection[str] | None
 ) -> _Held | None:
     """The fit with a set, its clocks and its twins told apart; None where it runs away.
 
     skipped : names that are not tried; None where twins stay as the whole motion has told them
     """
-    grown = fit_with_members(held.state, chosen, scope)
+    grown = fit_with_members(held.state, chosen, request)
     if grown is None:
         return None
     if any(term.aged for term in grown.terms):
@@ -349,38 +423,18 @@ def _noise_gain(before: tuple[MotionNoise, MotionNoise], state: ArrayState) -> f
     )
 
 
-def measure_shown(problem: MotionProblem) -> list[tuple[float, float, float]]:
-    """Of each component what `scores_of` tells; what no motion shows, nothing is left of."""
-    shown = (problem.measure(c) for c in range(len(problem.components)))
-    return [(share if strength > OPEN else 0.0, strength, 0.0) for share, strength, _ in shown]
-
-
-def find_absorbed(problem: MotionProblem) -> dict[str, float]:
-    """What no motion shows, and by how many m rms its typical size moves the positions."""
-    found = {}
-    for c, component in enumerate(problem.components):
-        share, strength, moves = problem.measure(c)
-        if component.named and (strength <= OPEN or share < ABSORBED):
-            found[component.name] = moves
-    return found
-
-
 def fit_with_members(
-    state: ArrayState, chosen: Sequence[Member], scope: Scope
+    state: ArrayState, chosen: Sequence[Member], request: Request
 ) -> ArrayState | None:
     """The joint fit with these and what is declared, and no others; None where it runs away."""
-    names = {*scope.declare, *(one.name for one in chosen)}
+    names = {*request.declare, *(one.name for one in chosen)}
     grown = replace(state, terms=tuple(t for t in state.terms if not t.found or t.name in names))
     for one in chosen:
         if one.name not in {t.name for t in grown.terms}:
             term = new_term(grown, one.name, one.effects[0][0])
             if term.value.size:
                 grown = replace(grown, terms=(*grown.terms, term))
-    try:
-        grown = fit_jointly(add_phases(grown))
-    except np.linalg.LinAlgError:
-        return None
-    return grown if grown.converged else None
+    return refit(add_phases(grown), shaped=True)
 
 
 def add_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
@@ -389,7 +443,7 @@ def add_declared(state: ArrayState, names: Sequence[str]) -> ArrayState:
     Raises UsageError for unknown names, Undetermined where the motion cannot carry one.
     """
     for name in names:
-        effect = find_effect(name, state.setup.imus)
+        effect = find_effect(name, state.setup.board.imus)
         if "sample_age" in effect.needs and state.motion.age is None:
             state = add_estimated_clock(state)
         reason = effect.missing(state.motion.context)
@@ -411,7 +465,7 @@ def new_term(state: ArrayState, name: str, effect: Effect) -> Term:
     """
     family, _, imu = name.partition("@")
     assert isinstance(effect, Response)
-    own, only = replace(effect, name=family), state.setup.imus.index(imu) if imu else None
+    own, only = replace(effect, name=family), state.setup.board.imus.index(imu) if imu else None
     return determine(name, own, only, own_gram(state, own, only), state.found)
 
 
@@ -419,7 +473,7 @@ def own_gram(state: ArrayState, effect: Response, only: int | None = None) -> Ar
     """(p, p) Gram matrix, in units of the noise, of an effect's columns in typical sizes, with
     motion, positions and terms taken out."""
     columns, base = typical_columns(effect, state.motion, only), state.base
-    found = base.free(gram(state.sampled, [*base.blocks, columns], state.setup.inner))
+    found = base.multiply(state.sampled, state.setup.inner, [columns])
     return marginalize(found.matrix, base.rests)
 
 
@@ -431,28 +485,11 @@ def frame_term() -> Term:
     return Term(GYRO_FRAME, effect, None, np.diag(size), 0.0 * size, np.ones(len(size)))
 
 
-def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
-    """Fitted with the drawing and plain noise as the start."""
-    one = np.ones(setup.triads)
-    noise = MotionNoise(0.2, 0.0, np.inf, one), MotionNoise(5e-3, 0.0, np.inf, one)
-    sampled = fit_motion_at(setup, setup.board.drawn, noise)
-    drawn = ArrayState(
-        setup=setup,
-        r=setup.board.drawn,
-        terms=terms,
-        noise=noise,
-        sampled=sampled,
-        motion=motion_at(setup, sampled, None),
-        covariance=np.empty((0, 0)),
-        converged=False,
-    )
-    return fit_jointly(drawn)
-
-
-def refit(state: ArrayState) -> ArrayState | None:
-    """The joint fit with the noise in the shape that it has; None where it runs away."""
+def refit(state: ArrayState, *, shaped: bool = False) -> ArrayState | None:
+    """The joint fit, by default with the noise in the shape that it has; None where it runs
+    away."""
     try:
-        found = fit_jointly(state, shaped=False)
+        found = fit_jointly(state, shaped=shaped)
     except np.linalg.LinAlgError:
         return None
     return found if found.converged else None

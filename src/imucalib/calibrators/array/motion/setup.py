@@ -10,16 +10,13 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.board.moving import Moving
-from imucalib.calibrators.array.motion.board_motion import BoardMotion, board_motion
-from imucalib.core.course import bends_of, slope_of
-from imucalib.estimators.array.samples import Readings, Sampled, turning_slope
+from imucalib.estimators.array.samples import Pair, find_sides
 
 _STRETCH = 16  # consecutive samples, so that neighbours are there for derivatives
+_NEXT = 1.3  # sample intervals from one to the next below which they are neighbours
 _BLOCK = 5.0  # s, parts of the motion that are held out together
 FEWEST = 60
 _READINGS, _LEAST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
-#: Sample intervals from one neighbour to the next below which they are neighbours.
-_NEXT = 1.3
 
 
 @dataclass(frozen=True)
@@ -46,59 +43,41 @@ class Setup:
     span: float
 
     @cached_property
-    def readings(self) -> Readings:
+    def readings(self) -> Pair:
         """Calibrated by the rests."""
-        return Readings(self.moving.acceleration[self.rows], self.moving.rate[self.rows])
+        return Pair(self.moving.acceleration[self.rows], self.moving.rate[self.rows])
 
     @cached_property
     def t(self) -> Array:
         """(T,) s."""
         return self.moving.t[self.rows]
 
+    @cached_property
+    def sides(self) -> Flags:
+        """(T, 2) whether the sample before and the one after are neighbours."""
+        return find_sides(self.t, _NEXT * self.moving.interval)
+
     @property
     def order(self) -> Array:
         """(T,) 0..1 over the motion."""
         return (self.t - self.start) / self.span
 
-    @property
-    def triads(self) -> int:
-        return self.board.count
-
-    @property
-    def imus(self) -> tuple[str, ...]:
-        return self.board.imus
-
 
 def array_setup(moving: Moving, board: Board, samples: int) -> Setup | None:
     """At most `samples` informative samples whose neighbours are informative too; None when
     there are too few."""
-    amid = select_with_neighbours(moving)
-    if len(amid) < FEWEST:
+    if len(moving.amid) < FEWEST:
         return None
-    chosen = stretches(amid, samples)
-    return _setup(moving, board, chosen, _around(chosen))
+    return set_up(moving, board, samples, neighbours=True)
 
 
-def every_sample(setup: Setup, samples: int, *, neighbours: bool) -> Setup:
-    """The same with all informative samples, at most `samples` of them.
+def set_up(moving: Moving, board: Board, samples: int, *, neighbours: bool) -> Setup:
+    """At most `samples` informative samples, however few there are.
 
     neighbours : whether only those whose neighbours are informative too
     """
-    moving = setup.moving
-    chosen = stretches(select_with_neighbours(moving) if neighbours else moving.good, samples)
+    chosen = _stretches(moving.amid if neighbours else moving.good, samples)
     rows = _around(chosen) if neighbours else chosen
-    return _setup(moving, setup.board, chosen, rows)
-
-
-def plain_setup(moving: Moving, board: Board, samples: int) -> Setup:
-    """For a fit without a search: the same where there are enough of these, else of all informative
-    samples, with neighbours or without."""
-    found = array_setup(moving, board, samples)
-    chosen = stretches(moving.good, samples)
-    return found or _setup(moving, board, chosen, chosen)
-
-
-def _setup(moving: Moving, board: Board, chosen: Index, rows: Index) -> Setup:
     t = moving.t[rows]
     span = float(max(np.ptp(t), 1e-9))
     block = ((moving.t[chosen] - t[0]) / min(_BLOCK, span / 8.0)).astype(np.intp)
@@ -133,20 +112,11 @@ def _around(rows: Index) -> Index:
 def select_searched(setup: Setup) -> Index:
     """Which of the samples (inner,) a search looks at. Many IMUs have many columns and many
     readings a sample: fewer samples say as much."""
-    most = int(np.clip(_READINGS / setup.triads, _LEAST, _MOST))
+    most = int(np.clip(_READINGS / setup.board.count, _LEAST, _MOST))
     return np.linspace(0, len(setup.inner) - 1, min(most, len(setup.inner))).astype(np.intp)
 
 
-def select_with_neighbours(moving: Moving) -> Index:
-    """Informative samples whose two neighbours are informative and at the usual interval."""
-    good = np.zeros(len(moving.t) + 2, dtype=np.bool_)
-    good[1 + moving.good] = True
-    regular = np.abs(np.diff(moving.t) - moving.interval) < 0.3 * moving.interval
-    amid = good[1:-1] & good[:-2] & good[2:]
-    return np.flatnonzero(amid & np.append(False, regular) & np.append(regular, False))
-
-
-def stretches(rows: Index, samples: int) -> Index:
+def _stretches(rows: Index, samples: int) -> Index:
     """At most `samples` of the rows, in stretches of consecutive ones over all of them."""
     if len(rows) <= samples:
         return rows
@@ -154,40 +124,3 @@ def stretches(rows: Index, samples: int) -> Index:
     size = samples // count
     starts = np.linspace(0, len(rows) - size, count).astype(np.intp)
     return rows[np.unique(starts[:, None] + np.arange(size))]
-
-
-def describe_motion(
-    setup: Setup, sampled: Sampled, jerk: Array, age: Array | None = None
-) -> BoardMotion:
-    """A fitted motion as effects have it; jerk : (T, K, 3) m/s³ of the forces."""
-    return board_motion(
-        imus=setup.imus,
-        rotations=setup.board.rotations,
-        t=setup.t,
-        order=setup.order,
-        rate=sampled.rate,
-        spin=sampled.spin,
-        force=sampled.force,
-        jerk=jerk,
-        age=age,
-    )
-
-
-def motion_at(
-    setup: Setup, sampled: Sampled, age: Array | None, *, courses: bool = False
-) -> BoardMotion:
-    """The fitted motion as effects have it; its jerk by the motion of the neighbours, zero where a
-    sample has none. How the board turns is known with its derivative, the force amid the IMUs is
-    not: only there are differences all that there is.
-
-    courses : whether sensors may lag
-    """
-    follows = np.diff(setup.t) < _NEXT * setup.moving.interval
-    sides = np.column_stack([np.append(False, follows), np.append(follows, False)])
-    bend, _ = bends_of(sampled.rate, sampled.spin, setup.t, sides)
-    amid = np.mean(sampled.r, axis=0)
-    common = slope_of(sampled.origin + sampled.turn @ amid, setup.t, sides)
-    turning = turning_slope(sampled.rate, sampled.spin, bend) * np.any(sides, axis=1)[:, None, None]
-    jerk = common[:, None] + (sampled.r - amid) @ turning.transpose(0, 2, 1)
-    found = describe_motion(setup, sampled, jerk, age)
-    return found.set_courses(sides) if courses else found

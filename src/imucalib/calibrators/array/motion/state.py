@@ -6,29 +6,101 @@ which is estimated along. Every basis is taken at the fitted motion.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from imucalib.arrays import Array
-from imucalib.calibrators.array.motion.base import PositionBase
-from imucalib.calibrators.array.motion.board_motion import BoardMotion
-from imucalib.calibrators.array.motion.setup import Setup, motion_at
-from imucalib.calibrators.array.motion.terms import Term, evaluate_lags, lag_motion, select_lagging
-from imucalib.estimators.array.gram import gradient, gram, inverse_root, project_out_motion
+from imucalib.arrays import Array, Index
+from imucalib.calibrators.array.motion.setup import Setup, set_up
+from imucalib.calibrators.array.motion.terms import (
+    BoardMotion,
+    Term,
+    board_motion,
+    evaluate_lags,
+    lag_motion,
+    select_lagging,
+)
 from imucalib.estimators.array.noise import (
     MotionNoise,
     Squares,
     choose_noise,
     not_followed,
     rescale,
+    weigh,
 )
 from imucalib.estimators.array.sample_age import SampleAge
-from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
+from imucalib.estimators.array.samples import (
+    Columns,
+    Gram,
+    Pair,
+    Sampled,
+    fit_samples,
+    gradient,
+    gram,
+    inverse_root,
+    project_out_motion,
+)
 from imucalib.posterior.closed_loop.found import Unexplained
 from imucalib.posterior.odds import CERTAIN
+from imucalib.significant_digits import plus_minus
+
+#: Coordinates that a drawing's stated deviation counts as.
+_STATED = 3.0
+
+
+def drawing_precision(off: Array, sd: float) -> float:
+    """1/m², of each coordinate about its drawing, where the drawing's stated sd (m) may itself be
+    wrong by a factor that all coordinates share: a multivariate t, whose weight follows from what
+    they are off (d,) m (Lange, Little, Taylor 1989, JASA 84, equation 5)."""
+    return (_STATED + off.size) / (_STATED * sd**2 + float(off @ off))
+
+
+class PositionBase:
+    """What a joint fit has as unknowns at a fitted motion.
+
+    blocks : columns of the positions and of each term; turn : (R, q) these R raw columns by the q
+    coordinates that are free; prior : (q,) inverse variances, rests : of them those that no data
+    lift, since what positions absorb is absorbed for good; pull : (q,) prior times value
+    """
+
+    def __init__(self, state: ArrayState, terms: Sequence[Term]) -> None:
+        """terms : those of the state that are unknowns, beside its positions."""
+        from scipy.linalg import block_diag
+
+        board, turn = state.setup.board, state.sampled.turn
+        each = np.asarray(np.broadcast_to(turn, (board.count, *turn.shape)))
+        places = Columns(each, gyro=False, shared=False)
+        self.blocks = [places, *(term.columns(state.motion) for term in terms)]
+        self.turn: Array = block_diag(np.eye(3 * board.count)[:, 3:], *(t.live for t in terms))
+        off = (state.r - board.drawn)[1:].ravel()
+        flat = np.full(off.size, drawing_precision(off, board.prior_sd))
+        self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in terms)])
+        held = [term.sd**-2.0 * (not term.found) for term in terms]
+        self.rests = np.concatenate([0.0 * flat, *held])
+        self.pull = self.prior * np.concatenate([off, *(term.value for term in terms)])
+
+    def multiply(self, sampled: Sampled, rows: Index, more: Sequence[Columns] = ()) -> Gram:
+        """Products of the free coordinates, and of more columns after them, over some samples; made
+        in place of those of the raw columns: of many IMUs a copy would be large."""
+        found, turn = gram(sampled, [*self.blocks, *more], rows), self.turn
+        raw, n = turn.shape
+        own, beside = turn.T @ found.matrix[:raw, :raw] @ turn, turn.T @ found.matrix[:raw, raw:]
+        matrix = found.matrix[raw - n :, raw - n :]
+        matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = own, beside, beside.T
+        along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
+        return Gram(matrix, along, found.power)
+
+    def reading(self, step: Array, shape: tuple[int, ...]) -> Pair:
+        """What a step of the free coordinates adds to the readings; shape : (T, K, 3) of each."""
+        added = Pair(np.zeros(shape), np.zeros(shape))
+        ends = np.cumsum([block.size for block in self.blocks])[:-1]
+        for block, part in zip(self.blocks, np.split(self.turn @ step, ends), strict=True):
+            added[block.gyro][...] += block.at(part)
+        return added
+
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
 #: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
@@ -64,22 +136,28 @@ class ArrayState:
     @property
     def positions(self) -> int:
         """How many coordinates are free."""
-        return 3 * (self.setup.triads - 1)
+        return 3 * (self.setup.board.count - 1)
 
     @cached_property
     def base(self) -> PositionBase:
-        return PositionBase(self.setup, self.sampled, self.motion, self.r, self.terms)
+        return PositionBase(self, self.terms)
 
     @property
     def found(self) -> tuple[Term, ...]:
         return tuple(term for term in self.terms if term.found)
 
-    def squares(self, off: Readings | None = None) -> tuple[Squares, Squares, Array]:
+    @property
+    def slices(self) -> list[slice]:
+        """Of each term, its coordinates among all that are free."""
+        ends = self.positions + np.cumsum([0, *(len(term.value) for term in self.terms)])
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def squares(self, off: Pair | None = None) -> tuple[Squares, Squares, Array]:
         """Residuals of accelerometers and gyros at the inner samples as their noise is judged by,
         and the speed (inner,) rad/s; off : (T, K, 3) other residuals."""
         off, inner = off or self.sampled.off, self.setup.inner
         found = []
-        for values, kept in zip((off.acceleration, off.rate), self.sampled.kept, strict=True):
+        for values, kept in zip(off, self.sampled.kept, strict=True):
             numbers = np.mean(kept.numbers[inner], axis=0)
             length = np.sum(values[inner] ** 2, axis=2) / kept.share[inner]
             found.append(Squares(length * (numbers / 3.0), numbers))
@@ -91,17 +169,62 @@ class ArrayState:
 
     def covariance_of(self, term: Term) -> Array:
         """(p, p) posterior covariance of a term's parameters."""
-        names = [other.name for other in self.terms]
-        ends = self.positions + np.cumsum([0, *(len(other.value) for other in self.terms)])
-        start = int(ends[names.index(term.name)])
-        own = slice(start, start + len(term.value))
+        own = self.slices[[other.name for other in self.terms].index(term.name)]
         return np.asarray(term.live @ self.covariance[own, own] @ term.live.T)
+
+
+def size_in_words(state: ArrayState, term: Term) -> str:
+    """The one value with its deviation, or the rms of many."""
+    parameters = term.parameters(state.setup.board.imus)
+    unit = parameters[0].unit
+    if len(parameters) == 1:
+        return plus_minus(float(term.theta[0]), float(state.sd_of(term)[0]), unit)
+    if len(parameters) <= 3:
+        return f"{', '.join(f'{v:.3g}' for v in term.theta)} {unit}"
+    rms = float(np.sqrt(np.mean(term.theta**2)))
+    return f"{rms:.2g} {unit} rms, {term.live.shape[1]} of {len(parameters)} determined"
+
+
+def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
+    """Fitted with the drawing and plain noise as the start."""
+    one = np.ones(setup.board.count)
+    noise = MotionNoise(0.2, 0.0, np.inf, one), MotionNoise(5e-3, 0.0, np.inf, one)
+    sampled = fit_motion_at(setup, setup.board.drawn, noise)
+    drawn = ArrayState(
+        setup=setup,
+        r=setup.board.drawn,
+        terms=terms,
+        noise=noise,
+        sampled=sampled,
+        motion=motion_at(setup, sampled, None),
+        covariance=np.empty((0, 0)),
+        converged=False,
+    )
+    return fit_jointly(drawn)
+
+
+def motion_at(
+    setup: Setup, sampled: Sampled, age: Array | None, *, courses: bool = False
+) -> BoardMotion:
+    """The fitted motion as effects have it. courses : whether sensors may lag"""
+    jerk = sampled.jerk(setup.t, setup.sides)
+    found = board_motion(
+        setup.board,
+        setup.t,
+        order=setup.order,
+        rate=sampled.rate,
+        spin=sampled.spin,
+        force=sampled.force,
+        jerk=jerk,
+        age=age,
+    )
+    return found.set_courses(setup.sides) if courses else found
 
 
 def fit_motion_at(setup: Setup, r: Array, noise: tuple[MotionNoise, MotionNoise]) -> Sampled:
     """The motion of samples for positions alone, each kind of sensor weighted by its size."""
-    ones = np.ones((len(setup.rows), setup.triads))
-    weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
+    ones = np.ones((len(setup.rows), setup.board.count))
+    weights = Pair(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
     return fit_samples(setup.readings, weights, r, np.median(setup.readings.rate, axis=1))
 
 
@@ -121,8 +244,8 @@ def fit_jointly(state: ArrayState, *, shaped: bool = True) -> ArrayState:
                 break
             state = _newton(state, _ROUGH)
     base = state.base
-    inner = base.free(gram(state.sampled, base.blocks, state.setup.inner))
-    root = inverse_root(inner.matrix + np.diag(base.prior))
+    known = base.multiply(state.sampled, state.setup.inner).matrix
+    root = inverse_root(known + np.diag(base.prior))
     return replace(state, covariance=root @ root.T)
 
 
@@ -132,7 +255,7 @@ def _same(one: MotionNoise, two: MotionNoise) -> bool:
     return one.freedom == two.freedom and bool(np.allclose(a, b, rtol=_STALE, atol=0.0))
 
 
-def _with_scale(state: ArrayState, off: Readings | None = None) -> ArrayState:
+def _with_scale(state: ArrayState, off: Pair | None = None) -> ArrayState:
     a, g, speed = state.squares(off)
     one, two = state.noise
     return replace(state, noise=(rescale(one, a, speed), rescale(two, g, speed)))
@@ -159,8 +282,8 @@ def _newton(state: ArrayState, close: float) -> ArrayState:
         sigma = np.array([noise.sigma for noise in state.noise])
         if k in _AGAIN or np.any(np.abs(made / sigma - 1.0) > _STALE):
             made = sigma
-            matrix = base.free(gram(state.sampled, base.blocks, state.setup.inner)).matrix
-        along = base.along(gradient(state.sampled, base.blocks, state.setup.inner))
+            matrix = base.multiply(state.sampled, state.setup.inner).matrix
+        along = gradient(state.sampled, base.blocks, state.setup.inner) @ base.turn
         inner = matrix + np.diag(base.prior)
         # Weights that follow residuals answer less than they say, so a step goes farther.
         step = np.linalg.solve(share * matrix + np.diag(base.prior), along - base.pull)
@@ -181,16 +304,14 @@ def _newton(state: ArrayState, close: float) -> ArrayState:
 
 
 def _move(state: ArrayState, step: Array, variance: Array) -> ArrayState:
-    ends = state.positions + np.cumsum([0, *(len(term.value) for term in state.terms)])
     r = state.r.copy()
     r[1:] += step[: state.positions].reshape(-1, 3)
-    parts = zip(state.terms, ends, ends[1:], strict=False)
-    terms = tuple(term.move(step[a:b], variance[a:b]) for term, a, b in parts)
-    return replace(state, r=r, terms=terms)
+    own = zip(state.terms, state.slices, strict=True)
+    return replace(state, r=r, terms=tuple(t.move(step[at], variance[at]) for t, at in own))
 
 
 def update_motion(
-    state: ArrayState, base: PositionBase | None = None, off: Readings | None = None
+    state: ArrayState, base: PositionBase | None = None, off: Pair | None = None
 ) -> ArrayState:
     """The motion for the positions, terms and noise as they are.
 
@@ -200,11 +321,7 @@ def update_motion(
     readings, sampled, off = subtract_terms(state, base), state.sampled, off or state.sampled.off
     tailed = any(np.isfinite(noise.freedom) for noise in state.noise)
     for more in reversed(range(_WEIGHED if tailed else 1)):
-        speed = np.linalg.norm(sampled.rate, axis=1)
-        weights = Weights(
-            state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
-            state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
-        )
+        weights = weigh(state.noise, off, sampled.rate)
         # With weights that are made anew at once, the motion need not be at its end.
         sampled = fit_samples(readings, weights, state.r, sampled, *([1] if more else []))
         off = sampled.off
@@ -222,23 +339,45 @@ def refit_motion(state: ArrayState, rounds: int) -> ArrayState:
     return state
 
 
-def subtract_terms(state: ArrayState, base: PositionBase | None = None) -> Readings:
+def subtract_terms(state: ArrayState, base: PositionBase | None = None) -> Pair:
     """The readings less what the terms add to them."""
-    own = None if base is None else base.blocks[1:]
-    acceleration = state.setup.readings.acceleration.copy()
-    rate = state.setup.readings.rate.copy()
     late = select_lagging(state.terms) if state.motion.courses is not None else ()
-    if late:
-        force, turned = evaluate_lags(late, state.motion)
-        acceleration += force
-        rate += turned
+    readings = state.setup.readings
+    late_by = evaluate_lags(late, state.motion) if late else Pair(*map(np.zeros_like, readings))
+    left = readings.less(late_by)
     for k, term in enumerate(state.terms):
         if late and term.effect.lagged:
             continue
-        columns = own[k] if own is not None else term.columns(state.motion)
-        target = rate if columns.gyro else acceleration
-        target -= term.reading(columns)
-    return Readings(acceleration, rate)
+        columns = term.columns(state.motion) if base is None else base.blocks[1 + k]
+        left[columns.gyro][...] -= columns.at(term.theta)
+    return left
+
+
+_FOLLOWED = 1  # round of the motion at new samples, so that a fit there begins with its noise
+
+
+def on_all(state: ArrayState, most: int) -> ArrayState:
+    """The state at `most` of all informative samples, not settled there. Samples without
+    neighbours serve unless a term needs the force's derivative."""
+    neighbours, setup = any("jerk" in t.effect.needs for t in state.terms), state.setup
+    return transfer_to(state, set_up(setup.moving, setup.board, most, neighbours=neighbours))
+
+
+def fit_all_samples(state: ArrayState, most: int) -> ArrayState:
+    """The joint fit at `most` of all informative samples, with the noise in the shape it has."""
+    return settle_there(on_all(state, most))
+
+
+def settle_there(state: ArrayState) -> ArrayState:
+    """The joint fit at samples that the state was moved to, with the noise in the shape it has."""
+    return fit_jointly(refit_motion(state, _FOLLOWED), shaped=False)
+
+
+def transfer_to(state: ArrayState, setup: Setup) -> ArrayState:
+    """What was found, at other samples; to be settled there."""
+    sampled = fit_motion_at(setup, state.r, state.noise)
+    motion = motion_at(setup, sampled, None, courses=bool(select_lagging(state.terms)))
+    return replace(state, setup=setup, sampled=sampled, motion=motion)
 
 
 #: Samples over which a sum of residuals is taken, and the farthest neighbours that are compared.
@@ -252,8 +391,8 @@ def _correlate(state: ArrayState, *, gyro: bool) -> Iterator[tuple[float, float]
     """Correlation of the weighted residuals of samples 1, 2, ... apart, and how many independent
     products it is the mean of; until there are few."""
     setup, sampled = state.setup, state.sampled
-    root = np.sqrt(sampled.weights.of(gyro=gyro))[..., None]
-    white = (sampled.off.of(gyro=gyro) * root)[setup.inner]
+    root = np.sqrt(sampled.weights[gyro])[..., None]
+    white = (sampled.off[gyro] * root)[setup.inner]
     follows = np.diff(setup.rows[setup.inner]) == 1
     power = float(np.mean(white**2))
     # The motion has its share of the numbers of every sample.

@@ -1,19 +1,132 @@
-"""What an array's model holds beyond the positions: errors of the rests, and accepted effects."""
+"""A board's motion as effects take it, and the terms of a model that act on it.
+
+Every triad has its truth in its own axes. Terms are what a model holds beyond the positions: errors
+of the rests, and accepted effects.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.board.rests import RestFit
-from imucalib.calibrators.array.motion.board_motion import BoardMotion
-from imucalib.core.course import Course
+from imucalib.core.course import Course, course_of
 from imucalib.core.effect import Basis, Channel, Context, Motion, Parameter, Response, Truth
 from imucalib.core.eigen import eigen
-from imucalib.estimators.array.gram import Columns
+from imucalib.estimators.array.samples import Columns, Pair
+
+
+@dataclass(frozen=True)
+class BoardMotion:
+    """The truth at T instants as K triads see it, and what else is known of it; of_gyros : the
+    same for gyros, where they or the accelerometers lag; courses : of the rate and of the specific
+    force as they are, where sensors may lag"""
+
+    truth: Truth
+    context: Context
+    of_gyros: Truth | None = None
+    courses: tuple[Course, Course] | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(T, K)."""
+        return self.context.n, len(self.context.triads)
+
+    def turn_to_board(self, basis: Array) -> Array:
+        """(K, T, 3, m) in board axes, of a basis (T, K, 3, m) in each package's."""
+        attitude = self.context.attitude
+        assert attitude is not None
+        t, k, _, m = basis.shape
+        out = np.zeros((k, t, 3, m))
+        # Mountings are mostly signed permutations: of nine products three are there.
+        for triad, i, j in np.argwhere(attitude):
+            out[triad, :, i] += attitude[triad, i, j] * basis[:, triad, j]
+        return out
+
+    def set_ages(self, age: Array | None) -> BoardMotion:
+        """With the (T, K) sawtooth ages of the gyros' readings, or without any."""
+        rest = {k: v for k, v in self.context.covariates.items() if k != "sample_age"}
+        known = rest if age is None else {**rest, "sample_age": age}
+        return replace(self, context=replace(self.context, covariates=known))
+
+    def set_courses(self, neighbours: Flags) -> BoardMotion:
+        """With the courses of rate and force, of which lagging sensors meet a part.
+
+        neighbours : (T, 2) whether the sample before and the one after are next to it
+        """
+        turning, t = self.truth.turning, self.context["time"]
+        rate, force = (
+            course_of(value, slope, t, neighbours)
+            for value, slope in ((turning.rate, turning.spin), (self.truth.force, turning.jerk))
+        )
+        return replace(self, courses=(rate, force))
+
+    def set_met(self, gyros: tuple[Course, Course], forces: tuple[Course, Course]) -> BoardMotion:
+        """Where gyros and accelerometers meet these courses of rate and force."""
+        of_gyros, truth = (
+            Truth(force.value, Motion(rate.value, rate.slope, force.slope))
+            for rate, force in (gyros, forces)
+        )
+        return replace(self, of_gyros=of_gyros, truth=truth)
+
+    def truth_of(self, channel: Channel) -> Truth:
+        """What the sensors of a kind are exposed to when they read."""
+        if channel == "angular_rate" and self.of_gyros is not None:
+            return self.of_gyros
+        return self.truth
+
+    def take(self, rows: Index) -> BoardMotion:
+        """The motion at some of the instants, without what neighbours tell."""
+        of_gyros = self.of_gyros and self.of_gyros.take(rows)
+        return BoardMotion(self.truth.take(rows), self.context.take(rows), of_gyros)
+
+    @property
+    def age(self) -> Array | None:
+        return self.context.covariates.get("sample_age")
+
+
+class Mounted(Protocol):
+    """IMUs with the rotations (K, 3, 3) of their packages' axes to the board's."""
+
+    @property
+    def imus(self) -> tuple[str, ...]: ...
+    @property
+    def rotations(self) -> Array: ...
+
+
+def board_motion(
+    board: Mounted,
+    t: Array,
+    *,
+    order: Array | None = None,
+    rate: Array | None = None,
+    spin: Array | None = None,
+    force: Array | None = None,
+    jerk: Array | None = None,
+    age: Array | None = None,
+) -> BoardMotion:
+    """From the board's axes; what is not given is zero.
+
+    board : whose IMUs see it; t : (T,) s; order : (T,) 0..1 over the motion, by default in its
+    middle; rate, spin : (T, 3) rad/s, rad/s²; force, jerk : (T, K, 3) m/s², m/s³; age : (T, K) or
+    None
+    """
+
+    def turn_back(vector: Array | None) -> Array:
+        if vector is None:
+            return np.zeros((len(t), len(board.imus), 3))
+        each = vector if vector.ndim == 3 else vector[:, None]
+        return np.asarray((each[:, :, None] @ board.rotations)[:, :, 0])
+
+    truth = Truth(turn_back(force), Motion(turn_back(rate), turn_back(spin), turn_back(jerk)))
+    known = {"order": np.full(len(t), 0.5) if order is None else order, "time": t}
+    context = Context(len(t), known, board.imus, attitude=board.rotations, moving=True)
+    return BoardMotion(truth, context).set_ages(age)
+
 
 SMALLEST, LARGEST = 1e-3, 10.0  # believable sizes of an effect, in its typical ones
 OPEN = 0.05  # λ at typical size below which a direction says nothing
@@ -53,6 +166,11 @@ class Term:
         """Whether it says what the chips' own clocks do."""
         return "sample_age" in self.effect.needs
 
+    @property
+    def gyro(self) -> bool:
+        """Whether it acts on gyros."""
+        return self.effect.channel == "angular_rate"
+
     def parameters(self, imus: Sequence[str]) -> tuple[Parameter, ...]:
         if self.effect.shared:
             return self.effect.each
@@ -61,9 +179,25 @@ class Term:
     def columns(self, motion: BoardMotion) -> Columns:
         return columns_of(self.effect, motion, self.only)
 
-    def reading(self, columns: Columns) -> Array:
+    def reading(self, motion: BoardMotion) -> Array:
         """(T, K, 3) what it adds to the readings of its sensors."""
-        return columns.at(self.theta)
+        return self.columns(motion).at(self.theta)
+
+    def slope_at_rest(self, board: Mounted, at: float = 0.0) -> tuple[Array, Array]:
+        """Gain (K, 3, 3) and offset (K, 3): what it adds per unit of force or rate, and without
+        any. at : s, for effects of time"""
+        h, small = 1e-4, np.zeros((4, 3))
+        small[1:] = h * np.eye(3)
+        t, age = np.full(4, at), np.zeros((4, len(board.imus)))
+        rate, force = (small, None) if self.gyro else (None, small)
+        made = self.reading(board_motion(board, t, rate=rate, force=force, age=age))
+        return np.asarray((made[1:] - made[:1]).transpose(1, 2, 0) / h), np.asarray(made[0])
+
+    def beyond(self, motion: BoardMotion, gain: Array, offset: Array) -> Array:
+        """(T, K, 3) what it adds less a gain (K, 3, 3) and an offset (K, 3)."""
+        drive = motion.truth.turning.rate if self.gyro else motion.truth.force
+        linear = np.einsum("kij,tkj->tki", gain, motion.context.in_common(drive)) + offset
+        return np.asarray(self.reading(motion) - linear)
 
     def lag(self, motion: BoardMotion) -> Array:
         """(T, K) s by which its sensors lag: its answer to a change by one a second; zero of what
@@ -120,15 +254,14 @@ def _lag_course(
     return course
 
 
-def evaluate_lags(terms: Sequence[Term], motion: BoardMotion) -> tuple[Array, Array]:
-    """(T, K, 3) in board axes: what lagging accelerometers and gyros read less than there is, where
-    the motion has its courses."""
+def evaluate_lags(terms: Sequence[Term], motion: BoardMotion) -> Pair:
+    """(T, K, 3) in board axes: what lags add to the readings, where the motion has its courses."""
     assert motion.courses is not None
     rate, force = motion.courses
     late, common = select_lagging(terms), motion.context.in_common
-    return (
-        common(force.value - _lag_course(late, force, motion, "acceleration").value),
-        common(rate.value - _lag_course(late, rate, motion, "angular_rate").value),
+    return Pair(
+        common(_lag_course(late, force, motion, "acceleration").value - force.value),
+        common(_lag_course(late, rate, motion, "angular_rate").value - rate.value),
     )
 
 
@@ -187,7 +320,7 @@ def rest_terms(rests: RestFit) -> tuple[Term, ...]:
     gains = vectors * np.sqrt(np.maximum(values, 0.0))
     offsets = back.reshape(3 * k, 3 * k) * rests.gyro_bias_sd.ravel()
     return (
-        _of_rests("rests", "acceleration", _gain_and_offset, gains),
+        _of_rests("rests", "acceleration", lambda truth, _: gain_and_offset(truth.force), gains),
         _of_rests("rests_gyro", "angular_rate", _offset, offsets),
     )
 
@@ -201,12 +334,11 @@ def _of_rests(name: str, channel: Channel, basis: Basis, live: Array) -> Term:
     return Term(name, effect, None, live, np.zeros(n), np.ones(n), found=False)
 
 
-def _gain_and_offset(truth: Truth, context: Context) -> Array:
-    out = np.zeros((*truth.shape, 12))
-    for i in range(3):
-        out[..., i, 3 * i : 3 * i + 3] = truth.force
-        out[..., i, 9 + i] = 1.0
-    return out
+def gain_and_offset(force: Array) -> Array:
+    """(T, K, 3, 12) derivative of readings of forces (T, K, 3) by gain, rows first, and offset."""
+    each = np.broadcast_to(np.eye(3), (*force.shape, 3))
+    gains = np.einsum("...ij,...l->...ijl", each, force).reshape(*force.shape, 9)
+    return np.concatenate([gains, each], axis=3)
 
 
 def _offset(truth: Truth, context: Context) -> Array:

@@ -10,17 +10,11 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board.board import Board
-from imucalib.calibrators.array.board.log import ArrayLog
-from imucalib.calibrators.array.board.moving import SCALE_TOLERANCE
-from imucalib.calibrators.array.board.rests import RestFit
-from imucalib.calibrators.array.board.turns import BoardTurns, common_scale
+from imucalib.calibrators.array.board.turns import GyroScale
 from imucalib.calibrators.array.motion.posterior import size_over
 from imucalib.core.effect import cross_matrix
-from imucalib.rests.segments import Segments
 from imucalib.units import DEG
 
-#: A package's turn on the board: sd, and how many degrees of freedom that belief is worth.
-_MOUNTED, _BELIEF = 0.3 * DEG, 1.0
 _ROUNDS = 3  # of the linearisation of a distance
 
 
@@ -32,17 +26,6 @@ class Distance:
     two: int
     value: float
     sd: float
-
-
-@dataclass(frozen=True)
-class GyroScale:
-    """The gyros' common scale, readings (1 + value) ω. tolerance : sd by the data sheets alone;
-    turns : what the turns between rests say, or None"""
-
-    value: float
-    sd: float
-    tolerance: float
-    turns: BoardTurns | None
 
 
 @dataclass(frozen=True)
@@ -154,47 +137,6 @@ def _apart(mean: Array, one: int, two: int) -> tuple[float, Array]:
     slope[two] += away / value
     slope[one] -= away / value
     return value, slope[1:].ravel()
-
-
-def gyro_scale(tolerance: float, turns: BoardTurns | None) -> GyroScale:
-    """Data sheets and turns together."""
-    if turns is None:
-        return GyroScale(0.0, tolerance, tolerance, None)
-    share = tolerance**2 / (tolerance**2 + turns.sd**2)
-    return GyroScale(share * turns.scale, tolerance * float(np.sqrt(1.0 - share)), tolerance, turns)
-
-
-def scale_by_turns(
-    log: ArrayLog, segments: Segments, rests: RestFit, gain: Array, factor: Array
-) -> GyroScale:
-    """The common scale of the gyros, each corrected by its own gain.
-
-    Their rate is weighed as in the motion, which the positions stand on: where a bent response had
-    passed for a gain, the plain mean of eight held an eighth of that, and the size a quarter; the
-    motion's rate did not. Data sheets leave the mean of all axes uniform within each one's
-    tolerance.
-
-    gain : (K, 3, 3), reading = gain · rate; factor : (K,) of each gyro's noise in motion
-    """
-    weight = factor**-2 / np.sum(factor**-2)
-    rate = np.einsum("kij,nkj->ni", weight[:, None, None] * np.linalg.inv(gain), log.rate)
-    middle = 0.5 * (segments.start + segments.stop)
-    still = np.einsum("kij,nkj->nki", rests.rotations, segments.mean)
-    up = rests.correct(still, middle).mean(axis=1)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    turns = common_scale(log.t, rate, ~log.clipped, up, segments.start, segments.stop)
-    return gyro_scale(SCALE_TOLERANCE / float(np.sqrt(9.0 * len(gain))), turns)
-
-
-def frame_sd(rests: RestFit) -> float:
-    """rad about each axis, of the triads' mean axes against the board's: what the triads' own turns
-    scatter, over the root of how many there are."""
-    gain, _, _ = rests.in_board_axes()
-    turn = 0.5 * (gain - gain.transpose(0, 2, 1))
-    angles = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)
-    count = len(angles)
-    square = float(np.sum((angles - angles.mean(axis=0)) ** 2)) + _BELIEF * _MOUNTED**2
-    return float(np.sqrt(square / (3.0 * (count - 1) + _BELIEF) / count))
 
 
 def size_block(total: Total, gyros: GyroScale, board: Board) -> dict[str, Any]:

@@ -1,1 +1,0 @@
-"""Paper 001 as published: its likelihood, and the chain that draws from it."""
