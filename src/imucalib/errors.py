@@ -7,6 +7,11 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+#: Exit code of a calibration that is finished but whose residual stays unexplained.
+UNEXPLAINED_EXIT_CODE = 5
+#: Exit code of a fault of the program itself (EX_SOFTWARE of sysexits.h).
+CRASH_EXIT_CODE = 70
+
 
 class ImucalError(Exception):
     """A failure that the user can act on.
@@ -63,12 +68,6 @@ class NotConverged(ImucalError):
 
     exit_code = 6
 
-
-#: Exit code of a calibration that is finished but whose residual stays unexplained.
-UNEXPLAINED_EXIT_CODE = 5
-
-#: Exit code of a fault of the program itself (EX_SOFTWARE of sysexits.h).
-CRASH_EXIT_CODE = 70
 
 #: Exit code -> what it says, as the overview and the pages have it.
 EXIT_CODES = {

@@ -79,6 +79,7 @@ _SPELLINGS = {
     "radians": "rad",
     "mdps": "mdeg/s",
 }
+_ALL = {**ACCELERATION_UNITS, **RATE_UNITS, **ANGLE_UNITS}
 
 
 def strip_brackets(text: str) -> str:
@@ -94,9 +95,6 @@ def canonical(unit: str) -> str:
     text = strip_brackets(unit)
     low = text.lower().replace("**", "^")
     return _SPELLINGS.get(low, low if low in _ALL else text)
-
-
-_ALL = {**ACCELERATION_UNITS, **RATE_UNITS, **ANGLE_UNITS}
 
 
 def factor(unit: str, family: dict[str, float], where: str = "") -> float:

@@ -23,6 +23,8 @@ from imucalib.units import MG
 _SEEN = 4.7
 #: m/s²; effects that do less to a reading are nobody's concern.
 _LEAST = 0.1 * MG
+#: What a loop says in the words of every calibrator.
+_OF_LOOP = ("verdict", "records", "rejected", "refuted", "unexplained", "scores", "missing")
 
 
 class Untestable(Data):
@@ -98,10 +100,6 @@ class Findings:
         """Whether structure without a proved name was found, corrected or not."""
         curved = any(step.curve for step in self.steps)
         return bool(self.unexplained) or curved or self.verdict == "suspected"
-
-
-#: What a loop says in the words of every calibrator.
-_OF_LOOP = ("verdict", "records", "rejected", "refuted", "unexplained", "scores", "missing")
 
 
 def findings_of(

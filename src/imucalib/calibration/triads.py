@@ -17,6 +17,8 @@ from imucalib.units import DEG
 
 #: Digits of a covariance in the file: an array of many IMUs has a hundred thousand.
 _DIGITS = 9
+#: What the drift while it was calibrated is called among the effects that are not undone later.
+DRIFT = "drift of the rests"
 
 
 @dataclass(frozen=True)
@@ -145,10 +147,6 @@ def select_triads(
         known = ", ".join(f"{r} ({triads[k].name})" for r, k in partner.items())
         raise UsageError(f"no IMU '{only}'", remedy=f"name one with --sensor: {known}")
     return chosen
-
-
-#: What the drift while it was calibrated is called among the effects that are not undone later.
-DRIFT = "drift of the rests"
 
 
 def drift_block(t: Array, offset: Array) -> dict[str, Any]:

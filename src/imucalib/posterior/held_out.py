@@ -35,6 +35,11 @@ from imucalib.core.observations import Observations
 from imucalib.effects.record_error import is_record_error
 from imucalib.posterior.odds import ALONE, CERTAIN, FOLDS, GAP, STRETCH
 
+Metric = Literal["rms", "mean"]
+#: What a group must leave of the data's information on every direction, for θ without it to follow
+#: from all data's.
+_DETERMINED = 1e-8
+
 
 @dataclass(frozen=True)
 class Fold:
@@ -86,9 +91,6 @@ def parts_of(folds: tuple[Fold, ...]) -> Index:
         if fold.stretch:
             part[fold.rows] = fold.rows[0]
     return part
-
-
-Metric = Literal["rms", "mean"]
 
 
 @dataclass(frozen=True)
@@ -168,11 +170,6 @@ def add_density(found: Difference, nats: Array) -> Difference:
     error = float(np.std(nats, ddof=1) * np.sqrt(k)) if k > 1 else np.inf
     low = float(nats.sum()) - _reach_of_certain(max(k - 1, 1)) * error
     return replace(found, nats=float(nats.sum()), nats_low=low)
-
-
-#: What a group must leave of the data's information on every direction, for θ without it to follow
-#: from all data's.
-_DETERMINED = 1e-8
 
 
 def leaves_determined(every: Array, rest: Array) -> bool:

@@ -22,6 +22,9 @@ from imucalib.units import DEG, MG
 #: Name of an error that all triads of one rigid body share.
 ALL_TRIADS = "all"
 _UNEXPLAINED = "no single slip explains it"
+_Fix = tuple[tuple[str, float], ...]
+#: Channel, size and sd (m/s²), the likely slip, and what would mend it.
+_Said = tuple[str, float, float, str, _Fix]
 
 
 @dataclass(frozen=True)
@@ -117,11 +120,6 @@ def _diagnose(fit: Fit, row: int, probability: float) -> RecordError:
         fix=fix,
         probability=probability,
     )
-
-
-_Fix = tuple[tuple[str, float], ...]
-#: Channel, size and sd (m/s²), the likely slip, and what would mend it.
-_Said = tuple[str, float, float, str, _Fix]
 
 
 def _of_norm(fit: Fit, row: int) -> _Said:

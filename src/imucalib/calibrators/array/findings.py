@@ -44,6 +44,8 @@ SENSORS = (("accelerometer", 1.0, "m/s²"), ("gyro", DEG, "deg/s"))
 #: Times the others' noise or residual from which an IMU stands out.
 NOISY = 2.0
 _NAN = float("nan")
+#: Share of an effect beyond its linear part from which on it counts.
+_SMALL = 1e-6
 
 
 @dataclass(frozen=True)
@@ -345,10 +347,6 @@ def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
             for imu, beat in zip(setup.board.imus, beats(clock, setup.t, setup.rows), strict=True)
         ]
     }
-
-
-#: Share of an effect beyond its linear part from which on it counts.
-_SMALL = 1e-6
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,15 @@ _PLAN = (
     "something hard between"
 )
 
+#: Relative step of a derivative.
+_STEP = 1e-6
+#: Parameters of the accelerometer that the joint fit has first.
+_LINEAR = (
+    *(f"bias_{a}" for a in "xyz"),
+    *(f"scale_{a}" for a in "xyz"),
+    *(f"cross_{pair}" for pair in ("yx", "zx", "zy")),
+)
+
 
 class GyroscopeNoise(Data):
     """The gyroscope at rest, by axis; what the rests do not show is told as what it is at most."""
@@ -319,16 +328,6 @@ def _notes(result: ImuResult) -> tuple[str, ...]:
         *((f"{len(rests)} rests were left out", *rests) if rests else ()),
         *((f"{len(lost)} turns were left out", *lost) if lost else ()),
     )
-
-
-#: Relative step of a derivative.
-_STEP = 1e-6
-#: Parameters of the accelerometer that the joint fit has first.
-_LINEAR = (
-    *(f"bias_{a}" for a in "xyz"),
-    *(f"scale_{a}" for a in "xyz"),
-    *(f"cross_{pair}" for pair in ("yx", "zx", "zy")),
-)
 
 
 def imu_calibration(result: ImuResult, outcome: Outcome, details: ImuDetails) -> Calibration:

@@ -45,6 +45,8 @@ from imucalib.posterior.search.space import Hypothesis, blocks_of, hill_climb
 _FIXED = ACCELEROMETER + GAIN
 #: Share of a column's square that the base leaves, below which it is the base's.
 _LEFT = 1e-3
+#: A joint fit and its terms.
+_WithTerms = tuple[TurnFit, tuple[LawTerm, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,10 +147,6 @@ def search_laws(
         terms=terms,
         final=replace(final, covariance=covariance),
     )
-
-
-#: A joint fit and its terms.
-_WithTerms = tuple[TurnFit, tuple[LawTerm, ...]]
 
 
 def _terms(said: SelectedModel[TurnProblem]) -> tuple[LawTerm, ...]:

@@ -44,6 +44,8 @@ _ALLOWED, _SIZES, _WIDE = (0.03, 30.0), 40, 30.0
 GROUPS = 20
 #: Devices beyond which a fifth of them says no less than a twentieth would.
 _MANY, _OF_MANY = 60, 5
+#: Effect -> its sizes, in typical sizes.
+Priors = Mapping[str, Prior]
 
 
 @dataclass(frozen=True)
@@ -101,10 +103,6 @@ class FleetEffect(PooledEffect):
     nats: Array
     able: tuple[str, ...]
     sizes: Sizes
-
-
-#: Effect -> its sizes, in typical sizes.
-Priors = Mapping[str, Prior]
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,10 @@ HELD_OUT_NATS = 4.0
 _FOLLOWED = 0.5
 _FEWEST = 3  # gyros that tell which of them is noisy
 _MEDIAN = 2.36597  # of the squared length of three numbers of variance one
+_GROWN = np.concatenate([[0.0], np.geomspace(0.03, 30.0, 31)])
+_GROSS = 30.0  # squared length in sigmas beyond which a Gaussian triad is no part of the sample
+_LEAST = 4.0  # nats by which tails or one IMU's factor must win
+_LEFT = 0.02  # least share of its variance that a residual keeps
 
 
 @dataclass(frozen=True)
@@ -203,12 +207,6 @@ def _power_apart(off: Array) -> Array:
     pair = np.median(square, axis=0) / _MEDIAN
     whole = pair.sum() / (2.0 * (count - 1))
     return np.asarray(np.maximum((pair.sum(axis=1) - whole) / (count - 2), 0.0))
-
-
-_GROWN = np.concatenate([[0.0], np.geomspace(0.03, 30.0, 31)])
-_GROSS = 30.0  # squared length in sigmas beyond which a Gaussian triad is no part of the sample
-_LEAST = 4.0  # nats by which tails or one IMU's factor must win
-_LEFT = 0.02  # least share of its variance that a residual keeps
 
 
 @dataclass(frozen=True)

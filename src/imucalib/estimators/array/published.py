@@ -23,6 +23,12 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.errors import NotConverged
 
+ACCEPTANCE = (0.07, 0.23)
+VARIANCE = 0.1
+_REPEATS = 100  # likelihoods from which a variance is estimated
+_MOST = 20_000  # rates drawn for a sample, beyond which (26) is not usable
+_TUNING = 200  # iterations between two looks at the acceptance
+
 
 @dataclass(frozen=True)
 class ArrayData:
@@ -98,13 +104,6 @@ def log_likelihood(data: ArrayData, x: Array, rate: Array) -> Array:
     level = -0.5 * (np.linalg.slogdet(inertia)[1] + 3.0 * np.log(lam.sum()))
     level = level + 1.5 * np.log(lam).sum() - 1.5 * (a - 2) * np.log(2.0 * np.pi)
     return np.asarray(level[:, None, None] - 0.5 * value)
-
-
-ACCEPTANCE = (0.07, 0.23)
-VARIANCE = 0.1
-_REPEATS = 100  # likelihoods from which a variance is estimated
-_MOST = 20_000  # rates drawn for a sample, beyond which (26) is not usable
-_TUNING = 200  # iterations between two looks at the acceptance
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ _LAST = 1e-6
 #: (rad/s²)^-2, of dω/dt about zero: 3e6 deg/s², a hundred times what hands do. IMUs on one line say
 #: nothing of the spin about it, and this alone keeps that one number finite.
 SPIN = np.deg2rad(3e6) ** -2.0
+_ROWS = 600  # samples that are worked on at a time, within the processor's cache
 
 
 class Pair(NamedTuple):
@@ -281,9 +282,6 @@ def reweigh(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     rest = Pair(sampled.force, sampled.off.rate)  # whatever they read, they say as much
     root = _information(rest, weights, sampled.r).roots(sampled.rate)
     return replace(sampled, weights=weights, root=root)
-
-
-_ROWS = 600  # samples that are worked on at a time, within the processor's cache
 
 
 @dataclass(frozen=True)

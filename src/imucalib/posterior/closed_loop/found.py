@@ -17,6 +17,7 @@ from imucalib.posterior.record_errors import RecordError
 from imucalib.posterior.sheet.sheet import Fault
 
 Kind = Literal["effect", "probe"]
+S = TypeVar("S")
 
 
 @dataclass(frozen=True)
@@ -117,9 +118,6 @@ class BiasWalk:
         if self.size == 0.0:
             return "the bias does not drift"
         return f"the bias drifts by {self.size:.2g} mg in {self.hours:.2g} h"
-
-
-S = TypeVar("S")
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,8 @@ from imucalib.units import MG
 
 #: Rows that are whitened at once, and numbers.
 _BLOCK, _AT_ONCE = 16, 1 << 20
+#: One over the median absolute deviation of a normal number.
+_MAD = 1.4826
 
 
 @dataclass(frozen=True)
@@ -136,10 +138,6 @@ def whitener(time: Array, variance: Array, shares: Array, memory: Array) -> Walk
         gain[k] = (inverse[k] @ (last[k] + on * kept[k] @ off)).swapaxes(1, 2)
         off = on**2 * off - gain[k] @ gain[k].swapaxes(1, 2)
     return WalkWhitener(inverse, inverse @ kept, keep[:, :, -1], gain, log_det)
-
-
-#: One over the median absolute deviation of a normal number.
-_MAD = 1.4826
 
 
 @dataclass(frozen=True)

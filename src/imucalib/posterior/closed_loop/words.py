@@ -32,6 +32,8 @@ from imucalib.posterior.search.solution import solve
 from imucalib.posterior.search.space import Hypothesis, Posterior
 from imucalib.posterior.search.trust import split_at_jump
 
+P = TypeVar("P", bound=Contest)
+
 
 def rivals_of(problem: Problem, posterior: Posterior) -> tuple[Rival, ...]:
     """The likeliest sets, each as a fit, and where the readings do not say which part of a sheet
@@ -149,9 +151,6 @@ class Slot:
         """Nats in favour of its being there."""
         odds = self.probability / max(1.0 - self.probability, 1e-12)
         return float(np.log(max(odds, 1e-12)))
-
-
-P = TypeVar("P", bound=Contest)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,21 @@ from imucalib.posterior.odds import (
 Kind = Literal["name", "loose", "free", "law"]
 #: What shares which part of the prior odds.
 _SHARE = {"name": KNOWN, "free": KNOWN, "law": KNOWN, "loose": LOOSE}
+#: What bias and scale may follow, and what dials may beside themselves.
+_SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
+#: Periods of a swing that is no day's, in hours.
+_PERIODS = (13.0, 16.0, 19.0, 21.5, 27.0, 31.0, 38.0, 46.0)
+#: Laws of a response: odd and even powers, ends, kinks (of the input in g).
+_OF_RESPONSE = (
+    *(f"odd_power:{p}" for p in (1.5, 2)),
+    *(f"power:{p}:0:1" for p in (4, 5)),
+    "even_power:1.5",
+    *(f"saturation:{end}" for end in (0.1, 0.3, 0.5, 0.7)),
+    "soft_saturation:0.3",
+    *(f"kink:{at}" for at in (0.3, -0.3)),
+)
+#: What a dial of a whole turn may do: waves and teeth.
+_WAVES = (("sine", ""), ("saw_tooth", ":0"))
 
 
 @dataclass(frozen=True)
@@ -116,21 +131,6 @@ def log_size_prior(size: Array) -> Array:
     over = np.maximum(np.log(size), 0.0) / np.log(SPREAD)
     density = -0.5 * over**2
     return np.asarray(density - np.log(np.exp(density).sum(axis=-1, keepdims=True)))
-
-
-#: What bias and scale may follow, and what dials may beside themselves.
-_SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
-#: Periods of a swing that is no day's, in hours.
-_PERIODS = (13.0, 16.0, 19.0, 21.5, 27.0, 31.0, 38.0, 46.0)
-#: Laws of a response: odd and even powers, ends, kinks (of the input in g).
-_OF_RESPONSE = (
-    *(f"odd_power:{p}" for p in (1.5, 2)),
-    *(f"power:{p}:0:1" for p in (4, 5)),
-    "even_power:1.5",
-    *(f"saturation:{end}" for end in (0.1, 0.3, 0.5, 0.7)),
-    "soft_saturation:0.3",
-    *(f"kink:{at}" for at in (0.3, -0.3)),
-)
 
 
 def components_of(
@@ -260,10 +260,6 @@ def _laws(data: Observations) -> Iterator[Component]:
         weight = -float(np.log(len(texts)))
         members = tuple(Member((_whole(shape(text), data.context),), weight) for text in texts)
         yield Component(f"another law of {name}".replace("_", "-"), "law", members, name)
-
-
-#: What a dial of a whole turn may do: waves and teeth.
-_WAVES = (("sine", ""), ("saw_tooth", ":0"))
 
 
 def _courses(values: Array) -> Iterator[str]:

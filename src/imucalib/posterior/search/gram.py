@@ -25,6 +25,8 @@ from imucalib.posterior.search.problem import Problem
 #: Numbers of blocks that are made at once, columns that are weighted, and columns whose products
 #: are quicker together than block by block.
 _AT_ONCE, _COLUMNS, _SIDE = 1 << 21, 256, 64
+#: A block of columns and the sd of its normal prior, times the noise factor; infinite where flat.
+Block = tuple[Index, float]
 
 
 @dataclass(frozen=True)
@@ -160,8 +162,6 @@ class Unmultiplied:
         return Multiplied(np.array([own.T @ own for own in found]))
 
 
-#: A block of columns and the sd of its normal prior, times the noise factor; infinite where flat.
-Block = tuple[Index, float]
 #: Zᵀ V⁻¹ Z at E noises.
 Products = Weighted | Multiplied | Unmultiplied
 

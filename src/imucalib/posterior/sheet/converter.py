@@ -30,6 +30,8 @@ from imucalib.posterior.odds import (
 )
 
 _NOWHERE = np.zeros((0, 3))
+#: Scales that a guessed unit may hide: unit -> (counts a g, nominal counts a g of the unit).
+_MISTAKEN = {"mg": ((1024.0, 1000.0), (980.665, 1000.0)), "ug": ((1048576.0, 1e6),)}
 
 
 def flat_tops(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
@@ -172,10 +174,6 @@ def step_of(reading: Array) -> float:
         return 0.0
     on = np.abs((values - values[0]) / step - np.round((values - values[0]) / step)) < 1e-3
     return step if on.mean() >= ON_STEPS else 0.0
-
-
-#: Scales that a guessed unit may hide: unit -> (counts a g, nominal counts a g of the unit).
-_MISTAKEN = {"mg": ((1024.0, 1000.0), (980.665, 1000.0)), "ug": ((1048576.0, 1e6),)}
 
 
 def find_mistaken_scale(unit: str, scale: Array) -> float | None:

@@ -20,6 +20,8 @@ from imucalib.significant_digits import per_cent
 Kind = Literal[
     "exchange", "move", "shift", "cell", "angle", "setting", "axes", "convention", "record"
 ]
+#: Dial angles (deg) to inclination and tool-face in rad, each angle on its own.
+Inside = Callable[[Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -65,10 +67,6 @@ class Trial:
     fault: Fault
     repaired: Sheet | None
     prior: float
-
-
-#: Dial angles (deg) to inclination and tool-face in rad, each angle on its own.
-Inside = Callable[[Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,9 @@ from imucalib.question import paste
 RESIDUALS = "Residual before and after"
 Mark = Literal["line", "points", "rings", "band", "net"]
 Tone = Literal["ok", "warning", "bad", "plain"]
+#: Heading of a table's column, attribute or what makes its cells, and their format: one with a
+#: format stands to the right.
+Column = tuple[str, str | Callable[[Any], Any], str]
 
 
 @dataclass(frozen=True)
@@ -91,11 +94,6 @@ class Table:
     def mark_rows(tone: Tone, which: Iterable[bool]) -> dict[int, Tone]:
         """One tone for rows, by whether each is marked."""
         return {k: tone for k, one in enumerate(which) if one}
-
-
-#: Heading of a table's column, attribute or what makes its cells, and their format: one with a
-#: format stands to the right.
-Column = tuple[str, str | Callable[[Any], Any], str]
 
 
 def _cell(row: Any, of: str | Callable[[Any], Any], form: str) -> str:

@@ -14,6 +14,14 @@ from imucalib.report.render.templates import short
 LONGEST = 2000  # points drawn one by one; beyond, extremes of buckets
 NAMED = 600  # points that carry a hover title
 CROWDED = 300  # points that are drawn as dots
+MARKERS: tuple[Callable[[float, float], str], ...] = (
+    lambda x, y: f"M{short(x - 3)},{short(y)}a3,3 0 1,0 6,0a3,3 0 1,0 -6,0",  # circle
+    lambda x, y: f"M{short(x - 2.7)},{short(y - 2.7)}h5.4v5.4h-5.4z",  # square
+    lambda x, y: f"M{short(x)},{short(y - 3.7)}l3.6,6.2h-7.2z",  # triangle
+    lambda x, y: f"M{short(x)},{short(y - 3.9)}l3.9,3.9l-3.9,3.9l-3.9,-3.9z",  # diamond
+    lambda x, y: f"M{short(x - 3)},{short(y - 1)}h2v-2h2v2h2v2h-2v2h-2v-2h-2z",  # plus
+    lambda x, y: f"M{short(x)},{short(y + 3.7)}l3.6,-6.2h-7.2z",  # triangle down
+)
 
 
 @dataclass(frozen=True)
@@ -80,16 +88,6 @@ def clip(text: str, size: float, room: float) -> str:
     while text and text_width(text + "…", size) > room:
         text = text[:-1]
     return text + "…"
-
-
-MARKERS: tuple[Callable[[float, float], str], ...] = (
-    lambda x, y: f"M{short(x - 3)},{short(y)}a3,3 0 1,0 6,0a3,3 0 1,0 -6,0",  # circle
-    lambda x, y: f"M{short(x - 2.7)},{short(y - 2.7)}h5.4v5.4h-5.4z",  # square
-    lambda x, y: f"M{short(x)},{short(y - 3.7)}l3.6,6.2h-7.2z",  # triangle
-    lambda x, y: f"M{short(x)},{short(y - 3.9)}l3.9,3.9l-3.9,3.9l-3.9,-3.9z",  # diamond
-    lambda x, y: f"M{short(x - 3)},{short(y - 1)}h2v-2h2v2h2v2h-2v2h-2v-2h-2z",  # plus
-    lambda x, y: f"M{short(x)},{short(y + 3.7)}l3.6,-6.2h-7.2z",  # triangle down
-)
 
 
 def ring(x: float, y: float, radius: float) -> str:

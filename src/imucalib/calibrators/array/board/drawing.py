@@ -31,6 +31,17 @@ _TURNED = np.cos(np.radians(10.0))  # of two rests' directions, below which they
 _TURNS = 4  # from rest to rest that show how the gyros turn
 _FITS, _MISSES, _NEAR = 0.25, 4.0, 0.02  # rad, ratio, rad: what the right axes miss, and others
 _GAP = 3.0  # sample intervals from which on some are missing
+_FEWEST = 60  # moving samples from which a drawing is held against the log
+_CLEARER_PLACES = 4.0  # times that another order must lower the squared distance of those that move
+_EXPLAINED = 0.3  # share of the differences that places must explain
+_SIZE = 2.0  # factor between the sizes of board and drawing that is another unit of length
+_RATES = 500.0  # and that from which it is one of the rates: the size goes with their square
+_GRAVITY = 4.0, 20.0  # m/s² between which the force at rest must lie to be in its unit
+#: m, of each place about the first look: wide enough to say nothing, so that it counts once.
+_WIDE = 0.02
+_FEW = 3  # rests that show a frame
+_SAMPLES = 4000  # moving samples that are looked at
+_SHOWN = 8  # lines of a message
 
 
 def relative_axes(seen: Array, rotations: Array) -> Array:
@@ -74,14 +85,6 @@ def common_gyro_axes(t: Array, rate: Array, still: Array, start: Array, stop: Ar
     best = int(np.argmin(miss))
     clear = miss[best] < _FITS and miss[0] > _MISSES * max(float(miss[best]), _NEAR)
     return np.asarray(SIGNED[best if clear else 0])
-
-
-_FEWEST = 60
-_CLEARER_PLACES = 4.0  # times that another order must lower the squared distance of those that move
-_EXPLAINED = 0.3  # share of the differences that places must explain
-_SIZE = 2.0  # factor between the sizes of board and drawing that is another unit of length
-_RATES = 500.0  # and that from which it is one of the rates: the size goes with their square
-_GRAVITY = 4.0, 20.0  # m/s² between which the force at rest must lie to be in its unit
 
 
 @dataclass(frozen=True)
@@ -173,10 +176,6 @@ def _in_another_order(seen: Array, drawn: Array, mounted: Array) -> tuple[Index,
     return found, least
 
 
-#: m, of each place about the first look: wide enough to say nothing, so that it counts once.
-_WIDE = 0.02
-
-
 def board_from_log(log: ArrayLog, segments: Segments, board: Board) -> Board:
     """The board in the axes of its first IMU. log : of the undrawn board, in the packages' axes.
 
@@ -228,11 +227,6 @@ def _usable(log: ArrayLog) -> Flags:
 def _turn_each(values: Array, turns: Array) -> Array:
     """Vectors (n, K, 3), each IMU's by its own matrix (K, 3, 3)."""
     return np.asarray(np.einsum("kij,nkj->nki", turns, values))
-
-
-_FEW = 3  # rests that show a frame
-_SAMPLES = 4000  # moving samples that are looked at
-_SHOWN = 8  # lines of a message
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,16 @@ _BEYOND, _FARTHER, _FAINT, _GONE = 1.15, (1.4, 2.0), 1e-6, 0.5
 _SHORT = 4  # samples from which on lags are undone by the course of the motion
 _GOES_ON = 0.5  # correlation of neighbours from which on a correction is motion
 _LOST = 1.5  # median intervals between samples from which on they are no neighbours
+_SLOW = 0.3  # share of the usual interval by which neighbours may be off
+#: Samples over which the error of the difference is judged; and over which, where third differences
+#: are hardly more than noise: what noise leaves of the squares of a few is not zero.
+_FEW, _QUIET = 9, (27, 81)
+#: Times what noise explains up to which that is so, and what a few squares then are at most: the
+#: 98 % point of χ² with 3.9 degrees of freedom, those of nine whose correlations are (15/20)²,
+#: (6/20)² and (1/20)².
+_HARDLY, _MOST = 2.0, 2.9
+_JUDGED = 25  # samples over which the accelerometers may contradict it
+_ODD = 2.5  # times what noise explains, from which they do
 
 
 @dataclass(frozen=True)
@@ -280,18 +290,6 @@ def _if_smooth(more: Array) -> Array | float:
     power = float(np.sum(more**2))
     goes_on = power > 0.0 and float(np.sum(more[1:] * more[:-1])) > _GOES_ON * power
     return more if goes_on else 0.0
-
-
-_SLOW = 0.3  # share of the usual interval by which neighbours may be off
-#: Samples over which the error of the difference is judged; and over which, where third differences
-#: are hardly more than noise: what noise leaves of the squares of a few is not zero.
-_FEW, _QUIET = 9, (27, 81)
-#: Times what noise explains up to which that is so, and what a few squares then are at most: the
-#: 98 % point of χ² with 3.9 degrees of freedom, those of nine whose correlations are (15/20)²,
-#: (6/20)² and (1/20)².
-_HARDLY, _MOST = 2.0, 2.9
-_JUDGED = 25  # samples over which the accelerometers may contradict it
-_ODD = 2.5  # times what noise explains, from which they do
 
 
 def spin_by_neighbours(

@@ -32,6 +32,22 @@ _APART = 0.3  # share of a sample interval that simultaneous stamps may differ b
 _WAIT = 1.0  # s of the clock after which a silent sensor is not waited for
 _IMUS = 2  # from which there is something to fuse
 _UNITS = {"acceleration": "m/s2", "angular_rate": "rad/s"}
+_BUSY = 8192  # samples of the busiest stretch, at most
+_FEWEST = 50  # moving samples from which noise in motion is told
+_DRIFT, _REST = 1e-2, 2e-3  # m/s²: what biases do from log to log, and one rest's own error
+_GROUPS = 200  # of rests, at most
+#: Variance that a bias walks in the mean time between rests over what differs from rest to rest.
+_SHARES = np.concatenate([[0.0], np.geomspace(1e-3, 1e2, 26)])
+_USED = 2000  # moving samples of the busiest stretch that the noise is fitted to
+_KEPT = 0.25  # share of its variance that a residual must keep to tell of the noise
+_FIRST_GROWTH, _FIRST_TAILS = 0.5, 4.0  # of the noise before it is fitted, per rad/s and ν
+_CHIPS = 6  # from which each half shows the motion with some to spare
+_SURE = 1.04  # factor from which the noise is widened
+_MAD = 1.4826
+_READ = 4096  # samples that are fused at a time, so that memory stays small
+_WINDOW = 90.0  # s over which a beat holds its frequency
+_BEATEN = 200  # moving samples of a window from which its beats are sought
+_ROUGH = 2  # rounds of a first look
 
 
 class NotFusable(UnreadableInput):
@@ -137,10 +153,6 @@ def _key(channel: Channel) -> tuple[str, str]:
     return channel.triad, channel.quantity
 
 
-_BUSY = 8192  # samples of the busiest stretch, at most
-_FEWEST = 50  # moving samples from which noise in motion is told
-
-
 @dataclass(frozen=True)
 class Survey:
     """instrument : with the log's own biases; noise : of accelerometers and gyros
@@ -211,12 +223,6 @@ class _Look:
                     self.busiest = Stretch(part.t, part.acceleration.copy(), part.rate.copy())
                     self.most = int(inside[top])
             yield block
-
-
-_DRIFT, _REST = 1e-2, 2e-3  # m/s²: what biases do from log to log, and one rest's own error
-_GROUPS = 200  # of rests, at most
-#: Variance that a bias walks in the mean time between rests over what differs from rest to rest.
-_SHARES = np.concatenate([[0.0], np.geomspace(1e-3, 1e2, 26)])
 
 
 def _add_rests(segments: Segments, order: Mapping[int, int], instrument: Instrument) -> Instrument:
@@ -292,11 +298,6 @@ def _walk(segments: Segments, middle: Array, rate: Array) -> tuple[Array, Array]
     return at, np.asarray(found.reshape(n, *rate.shape[1:]))
 
 
-_USED = 2000  # moving samples of the busiest stretch that the noise is fitted to
-_KEPT = 0.25  # share of its variance that a residual must keep to tell of the noise
-_FIRST_GROWTH, _FIRST_TAILS = 0.5, 4.0  # of the noise before it is fitted, per rad/s and ν
-
-
 def _noise_in_motion(instrument: Instrument, busy: Stretch, rest: list[Array]) -> tuple[Noise, int]:
     """Noise fitted to the busiest stretch, twice: the second time under the weights of the first;
     and how many samples moved."""
@@ -325,11 +326,6 @@ def _noise_in_motion(instrument: Instrument, busy: Stretch, rest: list[Array]) -
     return (_confirm(instrument, some, (first, second), own), second), len(moving)
 
 
-_CHIPS = 6  # from which each half shows the motion with some to spare
-_SURE = 1.04  # factor from which the noise is widened
-_MAD = 1.4826
-
-
 def _confirm(
     instrument: Instrument, stretch: Stretch, noise: Noise, age: Array | None
 ) -> ChipNoise:
@@ -355,12 +351,6 @@ def _confirm(
         factors.append(_MAD * float(np.median(np.abs(off) / np.sqrt(doubt))))
     factor = float(np.mean(factors))
     return replace(noise[0], growth=noise[0].growth * factor) if factor > _SURE else noise[0]
-
-
-_READ = 4096  # samples that are fused at a time, so that memory stays small
-_WINDOW = 90.0  # s over which a beat holds its frequency
-_BEATEN = 200  # moving samples of a window from which its beats are sought
-_ROUGH = 2  # rounds of a first look
 
 
 def ages(instrument: Instrument, stretch: Stretch, noise: Noise) -> Array | None:

@@ -57,6 +57,9 @@ CHANNELS: tuple[Channel, Channel] = ("acceleration", "angular_rate")
 #: What is named beside a cause that the rests contradict.
 OTHER = "what shows in motion only"
 _REFUSED = "it makes the held-out error larger"
+_HALVES = 2  # of a motion, each predicted by what the other finds
+_FOLLOWED = 3  # rounds of the motion, with its weights, under a model that does not move
+_NO_ERROR = 1e-12  # m/s² or rad/s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,11 +249,6 @@ def _rest_steps(loop: FitLoop) -> Iterator[Step]:
                 for one in step.in_its_place
             ),
         )
-
-
-_HALVES = 2
-_FOLLOWED = 3  # rounds of the motion, with its weights, under a model that does not move
-_NO_ERROR = 1e-12  # m/s² or rad/s
 
 
 class Gained(NamedTuple):

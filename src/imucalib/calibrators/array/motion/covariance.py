@@ -32,6 +32,11 @@ POSITIONS = "positions against "
 _PARTS, _FEWEST = 4, 40  # of a drive other than time, and samples of a part at least
 #: Family-wise chance over all coordinates and drives below which positions are not the same.
 _ALPHA = 1e-3
+_SAMPLES = 800  # at which the answer is measured
+_ROUNDS = 12  # of weights and motion after a shift
+_SHIFT = 3.0  # in standard deviations of each direction
+_LEAST = 0.1  # share that is there in any case
+_SEEN = 1e-3  # of the best known direction's information, below which one is not shifted
 
 
 @dataclass(frozen=True)
@@ -97,13 +102,6 @@ def _drives(state: ArrayState) -> Iterator[tuple[str, Index]]:
         size = np.linalg.norm(vector[inner], axis=1)
         ends = np.quantile(size, np.arange(1, _PARTS) / _PARTS)
         yield name, np.searchsorted(ends, size).astype(np.intp)
-
-
-_SAMPLES = 800  # at which the answer is measured
-_ROUNDS = 12  # of weights and motion after a shift
-_SHIFT = 3.0  # in standard deviations of each direction
-_LEAST = 0.1  # share that is there in any case
-_SEEN = 1e-3  # of the best known direction's information, below which one is not shifted
 
 
 def information(state: ArrayState) -> tuple[float, float]:

@@ -62,6 +62,27 @@ _AFTER_RESTS = {
 AT_REST = "at rest: "
 #: Effects that are a part of others, which are tried.
 _WITHIN = ("non_orthogonality",)
+#: How the name of a correction without a cause begins.
+CURVE = "curve of "
+Shape = Callable[[Array], Array]
+_GYRO: Channel = "angular_rate"
+#: Of what a sensor reads over the most in this motion.
+_OF_INPUT: dict[str, Shape] = {
+    "to the power 1.5": lambda x: np.sign(x) * np.abs(x) ** 1.5,
+    "beyond a half": lambda x: np.sign(x) * np.maximum(np.abs(x) - 0.5, 0.0),
+    "softly beyond a half": lambda x: np.sign(x) * np.maximum(np.abs(x) - 0.5, 0.0) ** 2,
+    "cubed, without sign": lambda x: np.abs(x) ** 3.0,
+}
+#: Of time over the motion, 0..1.
+_OF_TIME: dict[str, Shape] = {
+    "as it settles": lambda u: np.exp(-8.0 * u),
+    "straight": lambda u: 2.0 * u - 1.0,
+    "bent": lambda u: 6.0 * u * (u - 1.0) + 1.0,
+}
+#: What is off by time, and the shapes that have no name.
+_DRIFTS, _LINES = ("as it settles", "bent"), ("straight", "bent")
+#: Terms of a free function, Σ_k c_k √2 cos(π k u) / k of its covariate scaled to u = 0..1.
+_TERMS = 4
 
 
 def array_catalogue() -> dict[str, Response]:
@@ -236,12 +257,6 @@ def _is_aged(effect: Response) -> bool:
     return "sample_age" in effect.needs
 
 
-#: How the name of a correction without a cause begins.
-CURVE = "curve of "
-
-Shape = Callable[[Array], Array]
-
-
 def _tilt(quantity: Quantity) -> Basis:
     """Three numbers, deg: what is sensed is turned about the axes."""
     return lambda truth, context: DEG * cross_matrix(-quantity(truth))
@@ -259,29 +274,13 @@ class _Error:
     part: Basis = displace
 
 
-_GYRO: Channel = "angular_rate"
 _PLACE = _Error("position", "mm", 0.05)
-#: Of what a sensor reads over the most in this motion.
-_OF_INPUT: dict[str, Shape] = {
-    "to the power 1.5": lambda x: np.sign(x) * np.abs(x) ** 1.5,
-    "beyond a half": lambda x: np.sign(x) * np.maximum(np.abs(x) - 0.5, 0.0),
-    "softly beyond a half": lambda x: np.sign(x) * np.maximum(np.abs(x) - 0.5, 0.0) ** 2,
-    "cubed, without sign": lambda x: np.abs(x) ** 3.0,
-}
 #: Covariate, what is sensed, what is off by it, and the unit of that.
 _INPUTS = (
     ("rate", RATE, _Error("gyro error", "deg/s", 4.0, _GYRO), DEG),
     ("force", FORCE, _Error("force error", "mg", 5.0), MG),
     ("force", FORCE, _Error("gyro error", "deg/s", 1.0, _GYRO), DEG),
 )
-#: Of time over the motion, 0..1.
-_OF_TIME: dict[str, Shape] = {
-    "as it settles": lambda u: np.exp(-8.0 * u),
-    "straight": lambda u: 2.0 * u - 1.0,
-    "bent": lambda u: 6.0 * u * (u - 1.0) + 1.0,
-}
-#: What is off by time, and the shapes that have no name.
-_DRIFTS, _LINES = ("as it settles", "bent"), ("straight", "bent")
 _TIMED = (
     (_Error("gyro offset", "deg/s", 0.1, _GYRO, each_axis(one, DEG)), _DRIFTS),
     (_Error("gyro scale", "%", 0.2, _GYRO, each_axis(RATE, 0.01)), _DRIFTS),
@@ -293,8 +292,6 @@ _TIMED = (
     (_Error("gyro delay", "ms", 0.05, _GYRO, all_axes(SPIN, -1e-3)), _LINES),
 )
 _FREE = _Error("force error", "m/s2", 0.1), _Error("gyro error", "deg/s", 0.3, _GYRO)
-#: Terms of a free function, Σ_k c_k √2 cos(π k u) / k of its covariate scaled to u = 0..1.
-_TERMS = 4
 
 
 def array_laws(motion: BoardMotion) -> Iterator[tuple[str, Response]]:

@@ -22,6 +22,16 @@ from imucalib.estimators.markov.crank_nicolson import Stop, sample
 COLLAPSED = 0.5  # share of the drawing's extent below which a geometry is no longer believed
 VAGUE = 0.05  # relative standard deviation of the array's size above which it is not determined
 OPEN = 0.5  # share of what was believed before, from which a direction is not shown
+_READINGS = 1500  # samples times IMUs that are worked on at a time, within the processor's cache
+_BATCH = 32  # positions at a time
+_BENT = 0.75  # share of a weight that its fall along its own residual takes at most
+_SETTLED = 4  # rounds of the motion with its weights, at the fit
+#: Of each triad the columns (3 n, m) of its terms, and which of all they are.
+_Terms = list[tuple[Array, Index]]
+SAMPLES = 2000  # moving samples, where nobody says how many
+#: The paper's rule: a data sheet's non-linearity, as a share of the accelerometers' range.
+NON_LINEARITY = 0.005
+_KEPT = 2000  # draws of a chain that are kept
 
 
 @dataclass(frozen=True)
@@ -145,12 +155,6 @@ def along(axis: Array) -> str:
     return "along (" + ", ".join(f"{v:.2f}" for v in axis + 0.0) + ") of the board"
 
 
-_READINGS = 1500  # samples times IMUs that are worked on at a time, within the processor's cache
-_BATCH = 32  # positions at a time
-_BENT = 0.75  # share of a weight that its fall along its own residual takes at most
-_SETTLED = 4  # rounds of the motion with its weights, at the fit
-
-
 class PositionDensity:
     """What the joint fit maximises: of steps (B, d) m of the positions from a fitted state, log p
     (B,) over that of the fit itself,
@@ -192,10 +196,6 @@ class PositionDensity:
         for part in self._parts:
             value += part.log(r, step, raw[self._r.size :])
         return np.asarray(value)
-
-
-#: Of each triad the columns (3 n, m) of its terms, and which of all they are.
-_Terms = list[tuple[Array, Index]]
 
 
 @dataclass(frozen=True)
@@ -304,12 +304,6 @@ def _columns(state: ArrayState, rows: Index, *, gyro: bool) -> Iterator[tuple[Ar
             yield np.concatenate(own, axis=1), np.concatenate(which)
         else:
             yield np.empty((3 * len(rows), 0)), np.empty(0, np.intp)
-
-
-SAMPLES = 2000  # moving samples, where nobody says how many
-#: The paper's rule: a data sheet's non-linearity, as a share of the accelerometers' range.
-NON_LINEARITY = 0.005
-_KEPT = 2000  # draws of a chain that are kept
 
 
 def draw_as_published(

@@ -70,6 +70,8 @@ DIVERGED = "its refit did not converge"
 GYRO_FRAME = "gyro_frame"
 #: Name in a model -> (twin, share) of what may be in its place, itself first.
 Shares = dict[str, tuple[tuple[str, float], ...]]
+#: Log prior odds of the components that are tried, by name.
+Odds = Mapping[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,10 +164,6 @@ class MotionProblem(Contest):
         rows = posterior.grams.rows(columns)[0]
         value = np.linalg.solve(rows[:, columns] + np.diag(sizes**-2.0), rows[:, -1])
         return columns, value, rows
-
-
-#: Log prior odds of the components that are tried, by name.
-Odds = Mapping[str, float]
 
 
 def products(

@@ -49,6 +49,23 @@ from imucalib.significant_digits import plus_minus
 
 #: Coordinates that a drawing's stated deviation counts as.
 _STATED = 3.0
+#: Newton steps at most, those before which the matrix is made again in any case, and the squared
+#: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
+_ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.03
+#: Change of the noise from which the matrix no longer serves.
+_STALE = 0.1
+#: Rounds of a motion with the weights that its residuals ask for, at one step of what is fitted.
+_WEIGHED = 2
+#: Growth of a squared step of a lost fit.
+_GROWN = 1e3
+#: Samples from which the shape of the noise is chosen.
+_SHAPED_BY = 250
+_FOLLOWED = 1  # round of the motion at new samples, so that a fit there begins with its noise
+#: Samples over which a sum of residuals is taken, and the farthest neighbours that are compared.
+_RUN, _FAR = 16, 6
+#: Pairs of neighbours below which nothing is known of what they share, and standard deviations of
+#: chance below which it is nothing.
+_FEWEST, _CHANCE = 50, 2.0
 
 
 def drawing_precision(off: Array, sd: float) -> float:
@@ -100,19 +117,6 @@ class PositionBase:
         for block, part in zip(self.blocks, np.split(self.turn @ step, ends), strict=True):
             added[block.gyro][...] += block.at(part)
         return added
-
-
-#: Newton steps at most, those before which the matrix is made again in any case, and the squared
-#: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
-_ROUNDS, _AGAIN, _ROUGH, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.03
-#: Change of the noise from which the matrix no longer serves.
-_STALE = 0.1
-#: Rounds of a motion with the weights that its residuals ask for, at one step of what is fitted.
-_WEIGHED = 2
-#: Growth of a squared step of a lost fit.
-_GROWN = 1e3
-#: Samples from which the shape of the noise is chosen.
-_SHAPED_BY = 250
 
 
 @dataclass(frozen=True)
@@ -353,9 +357,6 @@ def subtract_terms(state: ArrayState, base: PositionBase | None = None) -> Pair:
     return left
 
 
-_FOLLOWED = 1  # round of the motion at new samples, so that a fit there begins with its noise
-
-
 def on_all(state: ArrayState, most: int) -> ArrayState:
     """The state at `most` of all informative samples, not settled there. Samples without
     neighbours serve unless a term needs the force's derivative."""
@@ -378,13 +379,6 @@ def transfer_to(state: ArrayState, setup: Setup) -> ArrayState:
     sampled = fit_motion_at(setup, state.r, state.noise)
     motion = motion_at(setup, sampled, None, courses=bool(select_lagging(state.terms)))
     return replace(state, setup=setup, sampled=sampled, motion=motion)
-
-
-#: Samples over which a sum of residuals is taken, and the farthest neighbours that are compared.
-_RUN, _FAR = 16, 6
-#: Pairs of neighbours below which nothing is known of what they share, and standard deviations of
-#: chance below which it is nothing.
-_FEWEST, _CHANCE = 50, 2.0
 
 
 def _correlate(state: ArrayState, *, gyro: bool) -> Iterator[tuple[float, float]]:

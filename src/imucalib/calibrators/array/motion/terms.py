@@ -19,6 +19,9 @@ from imucalib.core.effect import Basis, Channel, Context, Motion, Parameter, Res
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.samples import Columns, Pair
 
+SMALLEST, LARGEST = 1e-3, 10.0  # believable sizes of an effect, in its typical ones
+OPEN = 0.05  # λ at typical size below which a direction says nothing
+
 
 @dataclass(frozen=True)
 class BoardMotion:
@@ -126,10 +129,6 @@ def board_motion(
     known = {"order": np.full(len(t), 0.5) if order is None else order, "time": t}
     context = Context(len(t), known, board.imus, attitude=board.rotations, moving=True)
     return BoardMotion(truth, context).set_ages(age)
-
-
-SMALLEST, LARGEST = 1e-3, 10.0  # believable sizes of an effect, in its typical ones
-OPEN = 0.05  # λ at typical size below which a direction says nothing
 
 
 @dataclass(frozen=True)
