@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 from scipy.stats import t as student
 
 from imucalib.core.model import Model
-from imucalib.core.observations import Observations
+from imucalib.core.observations import NoisePrior, Observations
 from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit
 from imucalib.posterior.candidates import effects_to_search
@@ -18,6 +19,7 @@ from imucalib.posterior.closed_loop.recorded import course_of
 from imucalib.posterior.held_out import difference, without_records
 from imucalib.posterior.odds import UNLIKE
 from imucalib.posterior.search.explored import SearchStart
+from imucalib.posterior.slips.trials import log_density
 from imucalib.units import MG
 from worlds.at_rest import at_rest, worn
 from worlds.bench import BASE, NINE, SIGMA, base_model, bench, draw, ordinary_theta
@@ -33,6 +35,48 @@ def exact(seed: int, n: int = 30) -> Observations:
 def test_no_record_of_a_clean_recording_is_accused(seed: int) -> None:
     asked = effects_to_search(("quadratic",), (), {}, lambda effect: True)
     assert not close_loop(base_model(NINE), at_rest(seed, 30), asked).loop.records
+
+
+SENSOR = {
+    **{f"bias_{a}": 50.0 for a in "xyz"},
+    **{f"scale_{a}": 0.02 for a in "xyz"},
+    **{f"cross_{pair}": 0.01 for pair in ("yx", "zx", "zy")},
+}
+
+
+def few(seed: int, off: float) -> Observations:
+    """18 rests of a sensor as a bench knows it, one of them off (mg) along gravity."""
+    data = replace(at_rest(seed, 18), noise_prior=NoisePrior(10.0, 1e-3, SENSOR))
+    reading = data.reading.copy()
+    reading[9] *= 1.0 + 1e-3 * off
+    return data.set_reading(reading)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_wrong_record_of_few_rests_is_accused(seed: int) -> None:
+    asked = effects_to_search(("quadratic",), (), {}, lambda effect: True)
+    told = [close_loop(base_model(NINE), few(seed, off), asked).loop.records for off in (0.0, 30.0)]
+    assert [[record.row for record in records] for records in told] == [[], [9]]
+
+
+def test_the_density_of_a_sheet_is_the_integral_over_its_noise() -> None:
+    """Of two sheets whose noise differs twentyfold: what is known of the sensor is no number that
+    tells of the noise. The integral is over s, of N(r, s² + J Σ Jᵀ) / s."""
+    asked, every = effects_to_search(("quadratic",), (), {}, lambda effect: True), []
+    for off in (0.0, 30.0):
+        data = few(3, off)
+        one = fit(base_model(NINE), data)
+        found = SearchStart.of(one, asked).explore()
+        start = np.array([p.start for p in one.parameters])
+        sd = np.array([SENSOR[p.name] for p in one.parameters])
+        left = one.at.residual + one.at.jacobian @ (one.theta - start)
+        known = (one.at.jacobian * sd) @ (one.at.jacobian * sd).T
+        sizes = np.geomspace(0.03, 300.0, 400)
+        logs = [multivariate_normal.logpdf(left, cov=s**2 * np.eye(18) + known) for s in sizes]
+        every.append((log_density(found), float(np.logaddexp.reduce(logs))))
+    stated, true = np.diff(every, axis=0)[0]
+    assert true < -15.0
+    assert stated == pytest.approx(true, abs=1.5)
 
 
 def test_a_wrong_record_is_off_by_what_a_refit_without_it_predicts() -> None:

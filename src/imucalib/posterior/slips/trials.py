@@ -62,10 +62,12 @@ def repair_sheet(
 
 
 def log_density(found: SearchedPosterior) -> float:
-    """Log evidence of a sheet over all sets and noises, with the priors of what is free in it."""
-    sd = known_sd(found.base)
-    known = np.isfinite(sd)
-    return found.posterior.evidence + float(np.log(found.base.noise.factor / sd[known]).sum())
+    """Log evidence of a sheet over all sets and noises, with the priors of what is free in it, of
+    which those that the data settle are no numbers that tell of the noise."""
+    sd, factor = known_sd(found.base), found.base.noise.factor
+    kept = found.problem.numbers - len(found.base.at.owner)
+    priors = -float(np.log(sd[np.isfinite(sd)]).sum())
+    return found.posterior.evidence + priors + kept * float(np.log(factor))
 
 
 def _best(
