@@ -73,12 +73,7 @@ class TablePlan:
     def rows_in(self, lines: Lines) -> Lines:
         """The lines without those above the table, and without rows that are not wanted."""
         dialect = self.table.dialect
-        above = dialect.data_line - lines.first_line
-        if above > 0:
-            parts = lines.data.split(b"\n", above)
-            data = parts[-1] if len(parts) > above else b""
-            lines = replace(lines, data=data, first_line=dialect.data_line)
-        return _choose(lines, self.table.conditions, dialect)
+        return _choose(lines.from_line(dialect.data_line), self.table.conditions, dialect)
 
 
 def _choose(lines: Lines, conditions: Sequence[tuple[int, Condition]], dialect: Dialect) -> Lines:
@@ -110,6 +105,7 @@ def make_plans(path: Path, mapping: FieldMapping) -> list[TablePlan]:
     facts = facts_of(dialect.preamble, where)
     if conditions:
         facts = replace(facts, rows=None, crc=None)
+    pieces[0] = Lines(pieces[0], 1).from_line(dialect.data_line).data
     table = Table(dialect, facts, mapping, pieces, path, conditions)
     if conditions:
         table = replace(table, pieces=_pieces_chosen(table))
@@ -164,20 +160,17 @@ def _plan(table: Table, selection: Selection) -> TablePlan:
 
 def _pieces_chosen(table: Table) -> list[bytes]:
     """The looks without the rows that are not wanted. Raises UnreadableInput for none."""
-    dialect, conditions = table.dialect, table.conditions
-    lines = table.pieces[0].split(b"\n")
-    above = b"".join(line + b"\n" for line in lines[: dialect.data_line - 1])
-    below = [b"\n".join(lines[dialect.data_line - 1 :]), *table.pieces[1:]]
-    kept = [_choose(Lines(p, 1), conditions, dialect).data for p in below]
+    conditions = table.conditions
+    kept = [_choose(Lines(p, 1), conditions, table.dialect).data for p in table.pieces]
     if not any(kept):
         cells = [[row[at] for row in table.rows] for at, _ in conditions]
         raise no_row_has(table.mapping.where, cells, str(table.path))
-    return [above + kept[0], *filter(None, kept[1:])]
+    return [kept[0], *filter(None, kept[1:])]
 
 
 def _demand_one_device(dialect: Dialect, piece: bytes, where: str) -> None:
     """Raise UnreadableInput for a table in which rows of several devices take turns."""
-    lines = piece.decode("utf-8", errors="replace").split("\n")[dialect.data_line - 1 :]
+    lines = piece.decode("utf-8", errors="replace").split("\n")
     each = [dialect.cells(line) for line in lines[:_ADJACENT]]
     rows = [row for row in each if len(row) == dialect.width]
     for k, name in enumerate(dialect.names if len(rows) > 1 else ()):
@@ -204,9 +197,8 @@ def _layout(table: Table, selection: Selection) -> tuple[TableLayout, list[bytes
     """The layout, and some stamps of each look as text."""
     dialect = table.dialect
     samples: list[bytes] = []
-    for number, piece in enumerate(table.pieces if selection.time else ()):
+    for piece in table.pieces if selection.time else ():
         lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]
-        lines = lines[dialect.data_line - 1 :] if number == 0 else lines
         for line in lines[:_SAMPLES] + lines[-_SAMPLES:]:
             row = dialect.cells(line)
             if len(row) == dialect.width and not any(is_blank(row[k]) for k in selection.time):
@@ -225,9 +217,7 @@ def _layout(table: Table, selection: Selection) -> tuple[TableLayout, list[bytes
 
 def _parse_looks(pieces: Sequence[bytes], layout: TableLayout, where: str) -> list[ParsedRows]:
     """Parsed looks; one that holds a bad cell is passed over here and reported when it is read."""
-    line = layout.dialect.data_line
-    first = b"\n".join(pieces[0].split(b"\n")[line - 1 :])
-    parsed = [parse(Lines(first, line), layout, where)]
+    parsed = [parse(Lines(pieces[0], layout.dialect.data_line), layout, where)]
     for piece in pieces[1:]:
         try:
             parsed.append(parse(Lines(piece, 0), layout, where))
