@@ -18,7 +18,6 @@ from imucalib.readers.fields import conversion
 from imucalib.readers.fields.choice import OPTIONS
 from imucalib.readers.fields.contents import listing, suggestion
 from imucalib.readers.fields.conversion import Conversion
-from imucalib.readers.messages.clock import Timeline, TopicClock, choose_clock
 from imucalib.readers.messages.records import MessageLog
 from imucalib.readers.messages.select import (
     TopicTriad,
@@ -27,7 +26,13 @@ from imucalib.readers.messages.select import (
     triads_of,
 )
 from imucalib.readers.messages.stream import GATHER, TopicStream
-from imucalib.readers.messages.topics import TopicSamples, TopicSource
+from imucalib.readers.messages.topics import (
+    Timeline,
+    TopicClock,
+    TopicSamples,
+    TopicSource,
+    choose_clock,
+)
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
