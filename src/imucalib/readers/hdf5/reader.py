@@ -111,7 +111,7 @@ def _measure_all(
         nonlocal start_ns
         if one.time is not None:
             stamps = _stamps_of(file, one, one.time)
-            one = replace(one, time_unit=stamps.unit, epoch=stamps.epoch)
+            one = replace(one, time_unit=stamps.unit)
             notes.extend([stamps.note] if stamps.note else [])
             if date_of(stamps.first, stamps.unit, stamps.epoch) is not None:
                 dated = bool(origin)

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.fields.timebase import SIDES, measure_steps, set_back
+from imucalib.readers.fields.timebase import SIDES, measure_steps, runs_of, set_back
 from imucalib.readers.messages.layout import FieldGroup, Groups
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 from imucalib.recording.recording import Gap
@@ -214,19 +214,12 @@ def _to_ns(stamps: Stamps, factor: int) -> Times:
     return whole if factor == 1 else whole * np.int64(factor)
 
 
-def _batches(times: Times) -> Index:
-    """Where a sample has another stamp than the one before."""
-    return np.flatnonzero(np.diff(times, prepend=times[:1] - 1))
-
-
 def _spread(times: Times, period: float) -> Times:
     """Samples that share a stamp, evenly up to the next stamp; by the period where that is further
     (samples are missing) or where there is none."""
-    starts = _batches(times)
-    counts = np.diff(starts, append=times.size)
+    starts, counts, rank = runs_of(times)
     step = np.append(np.diff(times[starts]) / counts[:-1], period) if starts.size else np.empty(0)
     step = np.where(step > _TWO_PERIODS * period, period, step)
-    rank = np.arange(times.size) - np.repeat(starts, counts)
     moved: Times = times + np.rint(rank * np.repeat(step, counts)).astype(np.int64)
     return moved
 
@@ -250,11 +243,11 @@ def choose_clock(
     facts, factor = (log, 1) if why else (stamps, factor)
     notes = [why] if why else []
     times = _to_ns(np.concatenate(facts.head), factor)
-    batched = 2 * facts.repeats > facts.count and not facts.backs and _batches(times).size > 1
+    batched = 2 * facts.repeats > facts.count and not facts.backs and runs_of(times)[0].size > 1
     if facts.backs:
         times = np.sort(times)
     elif batched:
-        starts = _batches(times)
+        starts, *_ = runs_of(times)
         times = _spread(times, float(np.median(np.diff(times[starts]) / np.diff(starts))))
         each = facts.count / (facts.count - facts.repeats)
         other = "; --time log_time takes the recorder's clock" * (log.repeats < facts.repeats)
@@ -378,7 +371,7 @@ class Timeline:
             times = np.concatenate([self._held[0], times])
             columns = [np.concatenate(p) for p in zip(self._held[1], columns, strict=True)]
         if self.clock.batched:
-            cut = int(_batches(times)[-1])
+            cut = int(runs_of(times)[0][-1])
             final = _spread(times, self.clock.period)[:cut]
         else:
             order = np.argsort(times, kind="stable")
