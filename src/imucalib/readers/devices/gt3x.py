@@ -54,7 +54,14 @@ class Gt3xReader(Joined):
     ) -> Iterator[Recording]:
         """Read in blocks of whole seconds; seconds without samples (idle sleep) are gaps. An
         archive that breaks off gives what comes before."""
-        if _RECORDS in members_of(path, head_of(path)):
+        names = members_of(path, head_of(path))
+        if "info.txt" not in names:
+            raise UnreadableInput(
+                "this is no archive of an ActiGraph",
+                where=str(path),
+                remedy="copy it from the device again",
+            )
+        if _RECORDS in names:
             archive = Archive(path, _RECORDS, strict=strict)
             log = archive.log(self.name, _packets(archive))
         else:
