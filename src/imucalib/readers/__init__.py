@@ -23,12 +23,10 @@ from imucalib.readers.fields.joining import (
     check_clocks,
     in_parts,
     join_files,
-    tell_order,
 )
-from imucalib.readers.fields.possible import drop_impossible
 from imucalib.readers.fields.rates import check_rates
-from imucalib.readers.fields.repeats import mark_held
 from imucalib.readers.fields.source import UNREAD, file_kind, head_of
+from imucalib.readers.fields.unmeasured import drop_impossible, mark_held
 from imucalib.recording.mapping import TIME_ZEROS, FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.recording.sensors import select_sensor
@@ -203,7 +201,7 @@ def _look_at(
     fixed = getattr(reader, "fixed", False)
     found = select_sensor(found, mapping.sensor) if mapping.sensor else found
     possible = drop_impossible(found)
-    clocked = check_clocks(tell_order(in_parts(possible)))
+    clocked = check_clocks(in_parts(possible))
     return mark_held(check_rates(clocked, mapping, fixed=fixed))
 
 

@@ -178,8 +178,7 @@ def _fill(held: Any, rows: _Rows, path: Path) -> None:
             for triad, some in _sensors(rows, kind):
                 name = f"{triad}/{quantity}"
                 if name not in held and all(_is_number(some, a) for a in axes):
-                    values = np.column_stack([some[a] for a in axes]).astype(np.float64)
-                    put_channel(held, name, _seconds(some, path), values, unit)
+                    put_channel(held, name, _seconds(some, path), [some[a] for a in axes], unit)
     if not len(held):
         raise UnreadableInput(
             "the log has no IMU, ACC or GYR messages",
@@ -188,9 +187,9 @@ def _fill(held: Any, rows: _Rows, path: Path) -> None:
         )
     for triad, some in _sensors(rows, "IMU"):
         warm = next((name for name in ("T", "Temp") if _is_number(some, name)), None)
-        if warm is not None and f"{triad}/temperature" not in held:
-            values = some[warm].astype(np.float64)
-            put_channel(held, f"{triad}/temperature", _seconds(some, path), values, "degC")
+        name = f"{triad}/temperature"
+        if warm is not None and name not in held:
+            put_channel(held, name, _seconds(some, path), [some[warm]], "degC")
 
 
 def _onboard(rows: _Rows) -> dict[str, Onboard]:

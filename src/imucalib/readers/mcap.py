@@ -31,7 +31,7 @@ from mcap.records import Channel, DataEnd, Footer, Metadata, Schema
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.messages.recording import log_blocks, read_log
+from imucalib.readers.messages.recording import LogReader
 from imucalib.readers.messages.records import (
     MESSAGE_HEAD,
     Damage,
@@ -40,7 +40,7 @@ from imucalib.readers.messages.records import (
     Topic,
 )
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Recording, corrections_of
+from imucalib.recording.recording import corrections_of
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")
@@ -562,7 +562,7 @@ class McapLog(MessageLog):
         return at <= self._size
 
 
-class McapReader:
+class McapReader(LogReader):
     """The MCAP reader."""
 
     name = "mcap"
@@ -572,16 +572,9 @@ class McapReader:
         """Whether the file begins with the MCAP magic."""
         return head.startswith(MAGIC)
 
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read all samples in one pass."""
-        return read_log(McapLog(path, strict=strict, max_chunk=mapping.max_chunk), mapping)
-
-    def blocks(
-        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
-    ) -> Iterator[Recording]:
-        """Read the file twice, in bounded memory."""
-        log = McapLog(path, strict=strict, max_chunk=mapping.max_chunk)
-        yield from log_blocks(log, mapping, block_samples=block_samples)
+    def open(self, path: Path, mapping: FieldMapping, *, strict: bool = False) -> McapLog:
+        """The log; `mapping.max_chunk` is obeyed."""
+        return McapLog(path, strict=strict, max_chunk=mapping.max_chunk)
 
 
 READER = McapReader()

@@ -19,7 +19,7 @@ from mcap.records import Schema
 
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.file_hash import sha256_of
-from imucalib.readers.messages.recording import log_blocks, read_log
+from imucalib.readers.messages.recording import LogReader
 from imucalib.readers.messages.records import (
     MESSAGE_HEAD,
     Damage,
@@ -28,7 +28,6 @@ from imucalib.readers.messages.records import (
     Topic,
 )
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Recording
 
 SQLITE = b"SQLite format 3\0"
 _ROS1 = b"#ROSBAG V"
@@ -192,7 +191,7 @@ def _block(batch: list[tuple[int, int, int, bytes]]) -> MessageBlock:
     return MessageBlock.of_records(b"".join(parts), np.cumsum(lengths) - lengths)
 
 
-class RosbagReader:
+class RosbagReader(LogReader):
     """The reader of ROS bags; needs the extra `ros`."""
 
     name = "rosbag"
@@ -204,16 +203,9 @@ class RosbagReader:
         database = head.startswith(SQLITE) and path.suffix.lower() == ".db3"
         return folder or database or head.startswith(_ROS1)
 
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read all samples in one pass."""
-        return read_log(BagLog(path, strict=strict), mapping)
-
-    def blocks(
-        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
-    ) -> Iterator[Recording]:
-        """Read the bag twice, in bounded memory."""
-        log = BagLog(path, strict=strict)
-        yield from log_blocks(log, mapping, block_samples=block_samples)
+    def open(self, path: Path, mapping: FieldMapping, *, strict: bool = False) -> BagLog:
+        """The bag."""
+        return BagLog(path, strict=strict)
 
 
 READER = RosbagReader()

@@ -153,14 +153,8 @@ def _fill(held: Any, topics: Sequence[Any], path: Path) -> None:
             for one in (d for d in topics if d.name == topic):
                 name = f"imu{one.multi_id}/{quantity}"
                 if name not in held and set(fields) <= set(one.data):
-                    values = np.column_stack([one.data[f] for f in fields]).astype(np.float64)
-                    put_channel(
-                        held,
-                        name,
-                        _seconds(one.data),
-                        values if len(fields) > 1 else values[:, 0],
-                        unit,
-                    )
+                    columns = [one.data[f] for f in fields]
+                    put_channel(held, name, _seconds(one.data), columns, unit)
         if len(held):
             return
     raise UnreadableInput(

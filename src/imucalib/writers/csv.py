@@ -16,6 +16,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import UsageError
+from imucalib.readers.fields.timebase import runs_of
 from imucalib.recording.pairing import printable
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import ChannelsChange
@@ -138,11 +139,9 @@ def _union_of_times(channels: dict[str, Channel], where: str) -> tuple[Array, di
 
 def _keys(t: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.void]]:
     """(time, how many earlier samples have the same time): equal times stay separate rows."""
-    starts = np.flatnonzero(np.diff(t, prepend=np.nan) != 0)
-    counts = np.diff(starts, append=t.size)
     keys = np.empty(t.size, dtype=[("t", "f8"), ("rank", "i8")])
     keys["t"] = t
-    keys["rank"] = np.arange(t.size) - np.repeat(starts, counts)
+    *_, keys["rank"] = runs_of(t)
     return keys
 
 

@@ -22,12 +22,11 @@ from imucalib.atomic_file import replace_atomically
 from imucalib.errors import UsageError
 from imucalib.readers import reader_for
 from imucalib.readers.fields.choice import OPTIONS
-from imucalib.readers.mcap import CORRECTIONS, MalformedRecordError, McapLog, parse_record
+from imucalib.readers.mcap import CORRECTIONS, MalformedRecordError, parse_record
 from imucalib.readers.messages.decode import RosDecoder, decoder_for
 from imucalib.readers.messages.layout import Groups
-from imucalib.readers.messages.recording import ChannelPlan, FirstPass
+from imucalib.readers.messages.recording import ChannelPlan, FirstPass, LogReader
 from imucalib.readers.messages.records import MESSAGE_HEAD, MessageBlock, MessageLog, Topic
-from imucalib.readers.rosbag import BagLog
 from imucalib.recording.mapping import UNCHANGED, from_dict
 from imucalib.recording.recording import Recording
 from imucalib.writers.mcap import (
@@ -91,8 +90,9 @@ def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None
     Written atomically.
     """
     mapping = from_dict(recording.mapping, "mapping of the recording")
-    bag = reader_for(source).name == "rosbag"
-    log = BagLog(source) if bag else McapLog(source, max_chunk=mapping.max_chunk)
+    reader = reader_for(source)
+    assert isinstance(reader, LogReader)
+    log = reader.open(source, mapping)
     first = FirstPass(log, mapping, keep=True)
     topics, extras = first.stream.topics, getattr(log, "extras", [])
     patched = _find_patches(recording, first)

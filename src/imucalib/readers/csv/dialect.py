@@ -20,7 +20,6 @@ _FEWEST = 20  # rows that show with how many decimals the last number is written
 _DELIMITERS = (",", ";", "\t", "|", " ")
 #: What some loggers write before the names of the columns.
 _BEFORE_NAMES = re.compile(r"^\s*;\s*(headers\s*,)?\s*", re.IGNORECASE)
-_ROWS = 50  # of each look
 _HEADING = 4  # lines of it, at most: groups of groups, names, units
 
 
@@ -80,18 +79,6 @@ class Dialect:
         """Whether a last line without its end is a row: of a number that is cut, decimals lack."""
         row = cells_of(decode_text(line), self.delimiter)
         return len(row) == self.width and 0 < self.decimals == _decimals(row[-1], self.decimal)
-
-    def rows_of(self, pieces: Sequence[bytes]) -> list[list[str]]:
-        """The cells of some rows of every look."""
-        rows = []
-        for number, piece in enumerate(pieces):
-            lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]
-            lines = lines[self.data_line - 1 :] if number == 0 else lines
-            for line in lines[:: max(1, len(lines) // _ROWS)]:
-                row = self.cells(line)
-                if len(row) >= self.width:
-                    rows.append(row)
-        return rows
 
 
 def _decimals(cell: str, mark: str) -> int:

@@ -17,8 +17,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.errors import UnreadableInput
 from imucalib.file_hash import sha256_of
-from imucalib.readers.csv.clock import bad_stamp
-from imucalib.readers.csv.plan import TablePlan, make_plans
+from imucalib.readers.csv.plan import TablePlan, bad_stamp, make_plans
 from imucalib.readers.csv.rows import ParsedRows, parse
 from imucalib.readers.csv.stamps import spread_rows
 from imucalib.readers.csv.text import Lines, cells_of, is_number, line_blocks, text_head

@@ -55,6 +55,7 @@ _OWN_ROWS = re.compile(
 )
 _OWN_MARK = re.compile(r"^# corrected: (.*)$", re.MULTILINE)
 _SERIAL = re.compile(r"serial (?:number|no\.?|code)[\s:;,]+([\w-]+)", re.IGNORECASE)
+_ROWS = 50  # of each look
 _OWN_START = re.compile(r"start_ns\s*[:=]\s*(-?\d+)")
 
 
@@ -131,7 +132,7 @@ class Table:
     dialect : its shape
     facts : of the lines above the table
     mapping : what the user states
-    pieces : the looks
+    pieces : the looks, without the lines above the table
     path : of the file, whose name tells a phone's sensors apart
     conditions : column from 0, and what the rows that are read hold there
     notes : what had to be chosen, filled meanwhile
@@ -148,7 +149,11 @@ class Table:
     @cached_property
     def rows(self) -> list[list[str]]:
         """The cells of some rows of every look."""
-        return self.dialect.rows_of(self.pieces)
+        rows = list[list[str]]()
+        for piece in self.pieces:
+            lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]
+            rows += map(self.dialect.cells, lines[:: max(1, len(lines) // _ROWS)])
+        return [row for row in rows if len(row) >= self.dialect.width]
 
     @cached_property
     def columns(self) -> list[Meaning]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.fields.timebase import runs_of
 from imucalib.readers.fields.words import by_word
 
 Int = NDArray[np.int64]
@@ -341,10 +342,8 @@ def spread_rows(stamps: Array, resolution: float, typical: float, first: bool) -
     stamps : (n,) s, in which every group of equal stamps is complete, except the first one when
     `first` says so: it then ends where its step ends. resolution : s; typical : rows per step.
     """
-    starts = np.flatnonzero(np.diff(stamps, prepend=stamps[:1] - 1))
-    counts = np.diff(starts, append=stamps.size)
-    group = np.repeat(np.arange(starts.size), counts)
-    rank = np.arange(stamps.size) - starts[group]
+    _, counts, rank = runs_of(stamps)
+    group = np.repeat(np.arange(counts.size), counts)
     room = np.maximum(counts, typical)
     lead = np.zeros(counts.shape)
     if first and counts.size:

@@ -10,7 +10,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
@@ -59,6 +59,14 @@ class Lines:
     note: str = ""
     numbers: tuple[int, ...] = ()
     tail: bytes = b""
+
+    def from_line(self, number: int) -> Lines:
+        """The lines from one of the file's on, which all may be already."""
+        above = number - self.first_line
+        if above <= 0:
+            return self
+        parts = self.data.split(b"\n", above)
+        return replace(self, data=parts[-1] if len(parts) > above else b"", first_line=number)
 
 
 def text_head(head: bytes) -> bytes:

@@ -12,7 +12,6 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -96,8 +95,16 @@ class Archive:
         notes = [f"ActiGraph {known}, {self.scale:g} counts a g"]
         if zone is None:
             notes.append("the time zone is not in the file: times are the wearer's")
-        log = Log(name, packets, tuple(notes), self.lost, 0.0, zone or 0)
-        return replace(log, device="ActiGraph", serial=serial)
+        return Log(
+            name,
+            packets,
+            tuple(notes),
+            self.lost,
+            0.0,
+            zone or 0,
+            device="ActiGraph",
+            serial=serial,
+        )
 
     def pieces(self) -> Iterator[bytes]:
         """The samples' bytes; what a damaged archive still gives.

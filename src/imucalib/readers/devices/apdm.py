@@ -3,4 +3,7 @@
 from imucalib.readers.devices.catalogue import Device
 from imucalib.recording.mapping import FieldMapping
 
-DEVICE = Device("apdm", FieldMapping(acc_unit="m/s2", gyro_unit="rad/s", time_unit="us"))
+DEVICE = Device(
+    "apdm",
+    FieldMapping(acc_unit="m/s2", gyro_unit="rad/s", temperature_unit="degC", time_unit="us"),
+)

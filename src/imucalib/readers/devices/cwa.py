@@ -1,4 +1,4 @@
-"""Axivity AX3 and AX6: .cwa files, plain or gzipped.
+"""Axivity AX3 and AX6: .cwa files, plain or gzipped, and CSV exports of OmGui.
 
 A header of 1024 bytes ("MD"), then sectors of 512 bytes ("AX"), each with its own time stamp and a
 checksum: its 16-bit words add up to zero. Layout: Open Movement, Docs/ax3/cwa.h and
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
+from imucalib.readers.devices.catalogue import Device
 from imucalib.readers.devices.packets import (
     Log,
     Packets,
@@ -83,12 +83,18 @@ class CwaReader(Joined):
             kind, number = _device(head)
             clock = "times are the device's own, without a zone: taken as UTC"
             notes = (*([f"Axivity {kind} {number}"] if number else []), clock)
-            log = Log(self.name, packets, notes, lost, _DRIFT)
-            log = replace(log, device=f"Axivity {kind}", serial=number)
+            log = Log(
+                self.name, packets, notes, lost, _DRIFT, device=f"Axivity {kind}", serial=number
+            )
             yield from recordings(log, path, mapping, block_samples)
 
 
 READER = CwaReader()
+DEVICE = Device(
+    "axivity",
+    FieldMapping(time="1", acc=("2", "3", "4"), acc_unit="g"),
+    source="wadpac/GGIR, inst/testfiles/ax3_testfile.csv",
+)
 
 
 def _device(head: bytes) -> tuple[str, str]:

@@ -3,6 +3,10 @@
 A record is: 0x1E, type, time (u32, s since 1970 on the wearer's clock), size (u16), payload, and
 the complement of the exclusive-or of all bytes before it. Acceleration is packed in 12 bits, axes
 y x z (type 0), or in int16, axes x y z (type 26). Layout: ActiGraph's public GT3X file format.
+
+The first firmwares (NEO, MRA up to 2.5.0) wrote activity.bin instead: one run of samples from the
+start date on, 12 bits a number in two's complement, axes y x z, 341 counts a g, without stamps and
+without a checksum but the archive's. Layout: ActiGraph, "NHANES .gt3x File Format".
 """
 
 from __future__ import annotations
@@ -19,13 +23,18 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.actigraph_archive import Archive, members_of
 from imucalib.readers.devices.packets import Packets, packets_of, recordings, unpack_twelve_bits
 from imucalib.readers.fields.joining import Joined
+from imucalib.readers.fields.source import head_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
+_RECORDS, _RUN = "log.bin", "activity.bin"
 _PACKED, _WHOLE = 0, 26
 _HEAD = struct.Struct("<BBIH")
 _GROUP = 500  # seconds that are read at a time
 _MOST_BAD = 100_000  # places that look like a record and are none
+_TICKS_TO_1970 = 621_355_968_000_000_000  # ticks of 100 ns from the year 1
+_NO_DATE = 1 << 62  # ns: beyond every date
+_PAIR, _PACKET = 9, 120  # of a run: bytes of two samples; samples that get a stamp
 
 
 class Gt3xReader(Joined):
@@ -36,15 +45,28 @@ class Gt3xReader(Joined):
     fixed = True
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """A zip archive, perhaps a cut one, that holds log.bin and info.txt."""
-        return {"log.bin", "info.txt"} <= members_of(path, head)
+        """A zip archive, perhaps a cut one, that holds info.txt and samples."""
+        names = members_of(path, head)
+        return "info.txt" in names and not names.isdisjoint((_RECORDS, _RUN))
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
-        """Read in blocks of whole seconds; seconds without samples (idle sleep) are gaps."""
-        archive = Archive(path, "log.bin", strict=strict)
-        log = archive.log(self.name, _packets(archive))
+        """Read in blocks of whole seconds; seconds without samples (idle sleep) are gaps. An
+        archive that breaks off gives what comes before."""
+        names = members_of(path, head_of(path))
+        if "info.txt" not in names:
+            raise UnreadableInput(
+                "this is no archive of an ActiGraph",
+                where=str(path),
+                remedy="copy it from the device again",
+            )
+        if _RECORDS in names:
+            archive = Archive(path, _RECORDS, strict=strict)
+            log = archive.log(self.name, _packets(archive))
+        else:
+            archive = Archive(path, _RUN, strict=strict)
+            log = archive.log(f"{self.name} activity", _run_packets(archive, _start_of(archive)))
         yield from recordings(log, path, mapping, block_samples)
 
 
@@ -113,3 +135,36 @@ def _counts(payload: bytes, kind: int) -> NDArray[np.int16]:
     if kind == _WHOLE:
         return np.frombuffer(payload[: len(payload) // 6 * 6], "<i2").reshape(-1, 3)
     return unpack_twelve_bits(payload[: len(payload) // 9 * 9]).reshape(-1, 3)[:, [1, 0, 2]]
+
+
+def _start_of(archive: Archive) -> int:
+    """ns since 1970 of a run's first sample."""
+    try:
+        start_ns = 100 * (int(archive.info["Start Date"]) - _TICKS_TO_1970)
+    except (KeyError, ValueError):
+        start_ns = _NO_DATE
+    if abs(start_ns) >= _NO_DATE:
+        raise UnreadableInput("info.txt states no start date", where=str(archive.path))
+    return start_ns
+
+
+def _run_packets(archive: Archive, start_ns: int) -> Iterator[Packets]:
+    rest, passed, more = b"", 0, True
+    pieces = archive.pieces()
+    while more:
+        piece = next(pieces, b"")
+        data, more = rest + piece, bool(piece)
+        used = len(data) // _PAIR * _PAIR if more else len(data)
+        # A sample alone at the end fills four bytes and a half.
+        numbers = unpack_twelve_bits(data[:used].ljust(-(-used // _PAIR) * _PAIR, b"\0")).reshape(
+            -1, 3
+        )
+        counts, rest = numbers[: used * 2 // _PAIR, [1, 0, 2]], data[used:]
+        first = np.arange(0, len(counts), _PACKET)
+        yield packets_of(
+            counts / archive.scale,
+            stamp=start_ns + np.rint((passed + first) / archive.rate * 1e9).astype(np.int64),
+            count=np.diff(first, append=len(counts)),
+            rate=archive.rate,
+        )
+        passed += len(counts)

@@ -20,6 +20,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.fields.timebase import FASTEST, SIDES, SLOWEST, set_back
+from imucalib.readers.fields.words import INERTIAL
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
 
@@ -274,68 +275,74 @@ class _Clock:
 
 @dataclass
 class _Order:
-    """Steps back of a channel's times: their number, and the largest, s"""
+    """A channel's times so far: how many, the least and the most; and their steps back: how many,
+    and the largest, s"""
 
     count: int = 0
-    most: float = 0.0
+    low: float = np.inf
+    high: float = -np.inf
     last: float = -np.inf
+    back: int = 0
+    most: float = 0.0
 
     def add(self, t: Array) -> None:
         """The next times."""
         steps = np.diff(t, prepend=self.last)
         self.last = float(t[-1])
+        self.count += t.size
+        self.low, self.high = min(self.low, float(t.min())), max(self.high, float(t.max()))
         if steps.min() < 0.0:
-            self.count += int(np.count_nonzero(steps < 0.0))
+            self.back += int(np.count_nonzero(steps < 0.0))
             self.most = max(self.most, -float(steps.min()))
 
-    def words(self, name: str) -> Iterator[str]:
-        """What there is to say of them."""
-        if self.count:
-            yield f"{name}: {self.count} steps back in time, by up to {self.most:.3g} s"
 
-
-def tell_order(blocks: Iterator[Recording]) -> Iterator[Recording]:
-    """The same blocks; the last one's notes count the steps back in time that are left."""
+def check_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:
+    """The same blocks; the last one's notes count the steps back in time that are left. Raises
+    UnreadableInput for an inertial channel whose rate no such sensor has, and for one whose samples
+    all have one time."""
     order: dict[str, _Order] = {}
+    inertial = set[str]()
 
     def look(block: Recording) -> Recording:
         for name, channel in block.channels.items():
             if channel.t.size:
-                order.setdefault(name, _Order()).add(channel.t)
+                one = order.setdefault(name, _Order())
+                one.add(channel.t)
+                if channel.quantity in INERTIAL:
+                    inertial.add(name)
+                    _demand_rate(name, channel.rate, one.count, block.path)
         return block
 
-    def notes() -> Iterator[str]:
-        return (note for name, one in order.items() for note in one.words(name))
-
-    return amend_last(map(look, blocks), lambda last: add_notes(last, notes()))
-
-
-def check_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:
-    """The same blocks; raises UnreadableInput for an inertial channel whose rate no such sensor
-    has, and for one whose samples all have one time."""
-    spans: dict[str, tuple[float, float, int, str]] = {}
-    for block in blocks:
-        for name, channel in block.channels.items():
-            t, rate = channel.t, channel.rate
-            if not t.size or channel.quantity not in ("acceleration", "angular_rate"):
-                continue
-            low, high, count, _ = spans.get(name, (np.inf, -np.inf, 0, ""))
-            low, high, count = min(low, float(t.min())), max(high, float(t.max())), count + t.size
-            spans[name] = low, high, count, block.path
-            if count > 1 and not SLOWEST <= rate <= FASTEST:
-                span = f"inertial sensors have {SLOWEST:g} to {FASTEST:g}"
-                said = f"{rate:.6g} samples a second, and {span}"
+    def tell(last: Recording) -> Recording:
+        for name in inertial:
+            one = order[name]
+            if one.count > 1 and not one.high > one.low:
                 raise UnreadableInput(
-                    f"{name}: {said if rate > 0.0 else 'its times do not advance'}",
-                    where=block.path,
-                    remedy="name the unit of the stamps with --time-unit, other stamps with "
-                    "--time, or give --rate",
+                    f"{name}: its {one.count} samples have one time",
+                    where=last.path,
+                    remedy="give --rate, name other stamps with --time, or their unit with "
+                    "--time-unit",
                 )
-        yield block
-    for name, (low, high, count, path) in spans.items():
-        if count > 1 and not high > low:
-            raise UnreadableInput(
-                f"{name}: its {count} samples have one time",
-                where=path,
-                remedy="give --rate, name other stamps with --time, or their unit with --time-unit",
-            )
+        return add_notes(
+            last,
+            (
+                f"{name}: {one.back} steps back in time, by up to {one.most:.3g} s"
+                for name, one in order.items()
+                if one.back
+            ),
+        )
+
+    return amend_last(map(look, blocks), tell)
+
+
+def _demand_rate(name: str, rate: float, count: int, where: str) -> None:
+    """Raise UnreadableInput where samples are counted and no inertial sensor has their rate, Hz."""
+    if count > 1 and not SLOWEST <= rate <= FASTEST:
+        span = f"inertial sensors have {SLOWEST:g} to {FASTEST:g}"
+        said = f"{rate:.6g} samples a second, and {span}"
+        raise UnreadableInput(
+            f"{name}: {said if rate > 0.0 else 'its times do not advance'}",
+            where=where,
+            remedy="name the unit of the stamps with --time-unit, other stamps with --time, or "
+            "give --rate",
+        )

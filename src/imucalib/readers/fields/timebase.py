@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput
 from imucalib.readers.fields.words import by_word
 from imucalib.recording.mapping import TIME_UNITS, TIME_ZEROS
@@ -78,6 +78,14 @@ def mean_period(steps: Array, middle: float) -> float:
     period = float(usual.mean())
     taken = np.maximum(np.rint(usual / period), 1.0)
     return float(usual.sum() / taken.sum())
+
+
+def runs_of(t: NDArray[Any]) -> tuple[Index, Index, Index]:
+    """Where runs of equal times (n,) begin, how long they are (k,), and of each time its place in
+    its run (n,)."""
+    starts = np.flatnonzero(np.append(True, t[1:] != t[:-1])[: t.size])
+    counts = np.diff(starts, append=t.size)
+    return starts, counts, np.arange(t.size) - np.repeat(starts, counts)
 
 
 def find_gaps(t: Array, rows: Array | range, threshold: float, before: float | None) -> list[Gap]:

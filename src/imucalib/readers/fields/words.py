@@ -87,15 +87,16 @@ _NAMES = "|".join(sorted(_KINDS, key=len, reverse=True))
 _LONG = "|".join(sorted((word for word in _KINDS if len(word) > 1), key=len, reverse=True))
 _COMPACT = re.compile(rf"^({_NAMES})(\d*)([xyz])(\d*)$|^([xyz])({_LONG})(\d*)$")
 #: Three names that are one vector where nothing else is one: p, q, r of a body; f of a force.
+#: Kalibr calls the acceleration alpha, with a rate called omega; else that is no force.
 _TRIPLES = {
     ("p", "q", "r"): "angular_rate",
     ("rollrate", "pitchrate", "yawrate"): "angular_rate",
     ("rollspeed", "pitchspeed", "yawspeed"): "angular_rate",
     ("fx", "fy", "fz"): "acceleration",
     ("sfx", "sfy", "sfz"): "acceleration",
+    ("alphax", "alphay", "alphaz"): "acceleration",
 }
-#: Kalibr calls the acceleration alpha, with a rate called omega; else that is no force.
-_KALIBR = {f"{letter}{axis}" for letter in ("omega", "alpha") for axis in "xyz"}
+_WITH_ALPHA = {"omegax", "omegay", "omegaz"}
 _BRACKETED = re.compile(r"\s*(\[[^\[\]]*\]|\((?:[^()]|\([^()]*\))*\))\s*$")
 #: A unit behind a name without brackets, where it is written with a slash: "acc_x_m/s^2".
 _SLASHED = re.compile(r"[\s_.\-]+([^\s_]+/[^\s_]+|[^\s_]+/\(?s\^?2\)?)$")
@@ -199,7 +200,6 @@ def understand(names: Sequence[Name], bare: str = "acceleration") -> list[Meanin
             else m
             for m in found
         ]
-    found = _of_kalibr(found)
     for names_of_three, quantity in _TRIPLES.items():
         if not any(m.quantity == quantity and m.is_axis for m in found):
             found = _of_three(found, names_of_three, quantity)
@@ -273,21 +273,10 @@ def _plain(name: str) -> str:
     return "".join(_words(name))
 
 
-def _of_kalibr(found: list[Meaning]) -> list[Meaning]:
-    plain = [_plain(m.name) for m in found]
-    if not set(plain) >= _KALIBR or any(m.quantity == "acceleration" for m in found):
-        return found
-    return [
-        replace(m, quantity="acceleration", axis="xyz".index(p[-1]), triad="imu0")
-        if p in _KALIBR and p.startswith("alpha")
-        else m
-        for m, p in zip(found, plain, strict=True)
-    ]
-
-
 def _of_three(found: list[Meaning], three: Sequence[str], quantity: str) -> list[Meaning]:
     at = {p: m.index for m in reversed(found) if (p := _plain(m.name)) in three and not m.quantity}
-    if len(at) < 3:
+    alone = three[0] == "alphax" and not _WITH_ALPHA.issubset(_plain(m.name) for m in found)
+    if len(at) < 3 or alone:
         return found
     axis_of = {at[name]: axis for axis, name in enumerate(three)}
     return [

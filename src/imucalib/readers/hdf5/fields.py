@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.devices.catalogue import devices
 from imucalib.readers.fields.choice import OPTIONS, Field, Vector, choose, join_units
 from imucalib.readers.fields.conversion import AS_STORED, Conversion
 from imucalib.readers.fields.words import instant_rank, understand
@@ -183,7 +184,6 @@ class FieldChannel:
     time : place of the stamps, or None
     rate : Hz; None where no attribute states it and the stamps have not been looked at
     numbered : whether `triad` is only a number, since nothing in the file names it
-    epoch : ns since 1970 from which the stamps count, where their unit states it
     origin : first stamp of its clock, in `time_unit`
     shift : s from the recording's start to that stamp
     threshold : a longer step is a gap, s
@@ -199,7 +199,6 @@ class FieldChannel:
     rate: float | None = None
     preset: str = ""
     numbered: bool = False
-    epoch: int | None = None
     origin: float | int = 0
     shift: float = 0.0
     threshold: float = 0.0
@@ -245,17 +244,20 @@ def _node_at(nodes: dict[str, Any], address: str, option: str) -> Any:
 
 
 def _add_device(field: FieldChannel, file: Any) -> FieldChannel:
-    """APDM Opal files state no units: they are m/s², rad/s and µs; sensors have a label."""
+    """APDM Opal files state no units, and sensors have a label."""
     parts = words_of(field.parts[0].path)
     if len(parts) < 3 or parts[0] != "Sensors" or "Configuration" not in file["Sensors"][parts[1]]:
         return field
     attrs = file["Sensors"][parts[1]]["Configuration"].attrs
     label = text_of(attrs["Label 0"]) if "Label 0" in attrs else parts[1]
-    unit = field.unit or {"acceleration": "m/s2", "angular_rate": "rad/s"}.get(
-        field.quantity, "degC"
+    device = devices()["apdm"]
+    return replace(
+        field,
+        unit=field.unit or getattr(device.fields, f"{OPTIONS[field.quantity]}_unit"),
+        triad=label.replace("/", "_") or parts[1],
+        time_unit=device.fields.time_unit,
+        preset=device.name,
     )
-    name = label.replace("/", "_") or parts[1]
-    return replace(field, unit=unit, triad=name, time_unit="us", preset="apdm")
 
 
 def _add_clock(

@@ -111,7 +111,7 @@ def _measure_all(
         nonlocal start_ns
         if one.time is not None:
             stamps = _stamps_of(file, one, one.time)
-            one = replace(one, time_unit=stamps.unit, epoch=stamps.epoch)
+            one = replace(one, time_unit=stamps.unit)
             notes.extend([stamps.note] if stamps.note else [])
             if date_of(stamps.first, stamps.unit, stamps.epoch) is not None:
                 dated = bool(origin)
@@ -373,11 +373,14 @@ class HeldReader(Joined):
                 notes = ()
 
 
-def put_channel(held: Any, name: str, seconds: Array, values: Array, units: str) -> None:
+def put_channel(
+    held: Any, name: str, seconds: Array, columns: Sequence[NDArray[Any]], units: str
+) -> None:
     """One channel, "imu0/acceleration", with its own clock in s and its stated unit."""
+    values = columns[0] if len(columns) == 1 else np.column_stack(columns)
     group = held.create_group(name)
     group.create_dataset("time", data=seconds).attrs["units"] = "s"
-    group.create_dataset("values", data=values).attrs["units"] = units
+    group.create_dataset("values", data=values.astype(np.float64)).attrs["units"] = units
 
 
 def table_columns(path: Path, most: int = 0) -> dict[str, Array | list[str]]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,6 @@ from imucalib.readers.fields import conversion
 from imucalib.readers.fields.choice import OPTIONS
 from imucalib.readers.fields.contents import listing, suggestion
 from imucalib.readers.fields.conversion import Conversion
-from imucalib.readers.messages.clock import Timeline, TopicClock, choose_clock
 from imucalib.readers.messages.records import MessageLog
 from imucalib.readers.messages.select import (
     TopicTriad,
@@ -25,7 +26,13 @@ from imucalib.readers.messages.select import (
     triads_of,
 )
 from imucalib.readers.messages.stream import GATHER, TopicStream
-from imucalib.readers.messages.topics import TopicSamples, TopicSource
+from imucalib.readers.messages.topics import (
+    Timeline,
+    TopicClock,
+    TopicSamples,
+    TopicSource,
+    choose_clock,
+)
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 
@@ -105,22 +112,28 @@ class FirstPass:
         return TopicSamples(source, columns.pop() if source.instant else None, log, columns)
 
 
-def read_log(log: MessageLog, mapping: FieldMapping) -> Recording:
-    """Read all samples in one pass; peak memory is the result and one spare channel."""
-    first = FirstPass(log, mapping, keep=True)
-    plan = first.plan
-    kept = (first.samples(topic) for topic in plan.clocks)
-    (whole,) = _recordings(plan, kept, block_samples=math.inf)
-    return whole
+class LogReader(ABC):
+    """A reader of logs of messages; see `imucalib.readers.Reader`."""
 
+    @abstractmethod
+    def open(self, path: Path, mapping: FieldMapping, *, strict: bool = False) -> MessageLog:
+        """The log in a file or folder; `strict` as in `MessageLog`."""
 
-def log_blocks(
-    log: MessageLog, mapping: FieldMapping, *, block_samples: int
-) -> Iterator[Recording]:
-    """Read the log twice: what holds for all of it first, then the samples in blocks."""
-    first = FirstPass(log, mapping, keep=False)
-    stream = TopicStream(log, mapping, first.stream.apart, gather=min(block_samples, GATHER))
-    yield from _recordings(first.plan, stream.samples(), block_samples=block_samples)
+    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
+        """Read all samples in one pass; peak memory is the result and one spare channel."""
+        first = FirstPass(self.open(path, mapping, strict=strict), mapping, keep=True)
+        kept = (first.samples(topic) for topic in first.plan.clocks)
+        (whole,) = _recordings(first.plan, kept, block_samples=math.inf)
+        return whole
+
+    def blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """Read the log twice: what holds for all of it first, then the samples in blocks."""
+        log = self.open(path, mapping, strict=strict)
+        first = FirstPass(log, mapping, keep=False)
+        stream = TopicStream(log, mapping, first.stream.apart, gather=min(block_samples, GATHER))
+        yield from _recordings(first.plan, stream.samples(), block_samples=block_samples)
 
 
 def _recordings(

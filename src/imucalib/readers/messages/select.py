@@ -412,13 +412,20 @@ def _held(topic: Topic, block: MessageBlock) -> list[Content]:
     """The vectors of a topic with their median norms in some messages."""
     decoder = decoder_for(topic)
     vectors = _vectors_of(decoder.look(block.payload(0)).leaves)
+    named = {f"{topic.name}:{address}": group for address, group in vectors.items()}
+    return _contents(decoder, block, named)
+
+
+def _contents(
+    decoder: Decoder, block: MessageBlock, vectors: Mapping[str, FieldGroup]
+) -> list[Content]:
+    """Vectors by their address, with their median norms in some messages."""
     if not vectors:
         return []
     columns, good, *_ = decoder.decode(block, tuple(vectors.values()))
-    norms = [norm_of(column[good].astype(np.float64)) for column in columns]
     return [
-        Content(f"{topic.name}:{address}", "3 numbers", 0, norm=norm)
-        for address, norm in zip(vectors, norms, strict=True)
+        Content(address, "3 numbers", 0, norm=norm_of(column[good].astype(np.float64)))
+        for address, column in zip(vectors, columns, strict=True)
     ]
 
 
@@ -439,11 +446,8 @@ def list_left(
     used = {path for group in groups for path in group.paths}
     block = MessageBlock(payload, np.array([0]), np.array([len(payload)]))
     vectors = {a: g for a, g in _vectors_of(look.leaves).items() if not used & set(g.paths)}
-    found = []
-    for address, group in vectors.items():
-        used |= {*group.paths, address}
-        column = decoder.decode(block, (group,)).columns[0]
-        found.append(Content(address, "3 numbers", 0, norm=norm_of(column.astype(np.float64))))
+    found = _contents(decoder, block, vectors)
+    used |= {path for address, group in vectors.items() for path in (*group.paths, address)}
     texts = {path for path in look.texts if path not in used}
     rest = [p for p in look.leaves if p not in used | texts and not p.startswith("header.")]
     return [*found, *(Content(path, f"{look.leaves[path]} numbers", 0) for path in rest)]

@@ -1,4 +1,5 @@
-"""Samples that repeat the one before to the last digit: held, copied or filled in, no measurement.
+"""Samples that are no measurement, whatever the format: without a value, beyond what a sensor can
+read, and repeats of the one before to the last digit (held, copied or filled in).
 
 Noise of σ steps leaves an axis on its number with a chance p(σ), all three with the product, and a
 run of n repeats with its n-th power. What the recording's own noise at its quietest cannot do,
@@ -17,8 +18,14 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.readers.fields.joining import add_notes, amend_last
-from imucalib.recording.recording import Channel, HeldSamples, Recording
+from imucalib.readers.fields.timebase import find_gaps, measure_steps
+from imucalib.readers.fields.words import INERTIAL
+from imucalib.recording.recording import Channel, Count, Gap, HeldSamples, Recording
+from imucalib.units import STANDARD_GRAVITY
 
+#: m/s². Accelerometers that rest in gravity for a calibration end far below it.
+_MOST = 1000.0 * STANDARD_GRAVITY
+_FEW = 0.5  # share of a block: more is no sample that went wrong, but a wrong unit
 #: s, and samples at least and at most, that a difference's size and step are taken from: half of a
 #: rest of a second, so that one lies within it.
 _SECONDS, _PIECE = 0.5, (32, 128)
@@ -37,6 +44,77 @@ _VALUES = 1000  # numbers of a gyroscope that are counted
 _ZONE, _ZONE_SHARE = 3, 0.2  # runs of one number, and of all of them, that make a dead zone
 
 
+def drop_impossible(blocks: Iterable[Recording]) -> Iterator[Recording]:
+    """The same blocks without samples of accelerometers and gyroscopes that lack a value or that no
+    sensor reads; the last one's notes and counts say how many there were."""
+    found: dict[str, _Impossible] = {}
+
+    def leave_out(block: Recording) -> Recording:
+        channels, gaps = dict(block.channels), list(block.gaps)
+        for name, channel in block.channels.items():
+            if channel.quantity in INERTIAL and channel.t.size:
+                one = found.setdefault(name, _Impossible())
+                channels[name], new = one.without(channel)
+                gaps += new
+        return replace(block, channels=channels, gaps=tuple(gaps))
+
+    def tell(last: Recording) -> Recording:
+        notes = (note for name, one in found.items() for note in one.words(name))
+        counts = tuple(_count(c, found, last) for c in last.counts)
+        return add_notes(replace(last, counts=counts), notes)
+
+    return amend_last(map(leave_out, blocks), tell)
+
+
+@dataclass
+class _Impossible:
+    """Samples that were left out of a channel: without a value, and beyond what can be."""
+
+    missing: int = 0
+    beyond: int = 0
+
+    def without(self, channel: Channel) -> tuple[Channel, list[Gap]]:
+        """The channel without them, and the gaps that they leave."""
+        values, most = channel.values, _MOST if channel.unit == "m/s2" else np.inf
+        low, high = values.min(), values.max()
+        if low >= -most and high <= most:
+            return channel, []
+        none: Flags = np.logical_not(np.isfinite(values).all(axis=1))
+        beyond: Flags = np.logical_and(~none, (np.abs(values) > most).any(axis=1))
+        if np.count_nonzero(beyond) > _FEW * beyond.size:
+            beyond = np.zeros_like(beyond)
+        left = none | beyond
+        self.missing += int(np.count_nonzero(none))
+        self.beyond += int(np.count_nonzero(beyond))
+        t, rows = channel.t[~left], np.flatnonzero(~left).astype(np.float64)
+        steps = measure_steps([t])
+        gaps = find_gaps(t, rows, steps.threshold, None) if steps else []
+        lacking = [gap for gap in gaps if gap.reason == "values missing"]
+        return replace(channel, t=t, values=channel.values[~left]), lacking
+
+    def words(self, name: str) -> Iterator[str]:
+        """What there is to say of them."""
+        if self.missing:
+            yield f"{name}: {self.missing} samples without a value left out"
+        if self.beyond:
+            yield f"{name}: {self.beyond} samples beyond 1000 g, which none reads, left out"
+
+
+def _count(count: Count, found: dict[str, _Impossible], last: Recording) -> Count:
+    """A count with what was left out of its channels."""
+    own = [
+        one
+        for name, one in found.items()
+        if name in count.source
+        or any(n in count.source for n in getattr(last.channels.get(name), "names", ()))
+    ]
+    lost = max((one.missing + one.beyond for one in own), default=0)
+    if not lost:
+        return count
+    left = {**count.left, "that no sensor reads": lost}
+    return replace(count, read=count.read - lost, left=left)
+
+
 def mark_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
     """The same blocks with `Recording.held` filled; the last one's notes say how many samples these
     are where there are any. Of a corrected sensor nothing is told: its axes are mixed, and no step
@@ -47,7 +125,7 @@ def mark_held(blocks: Iterable[Recording]) -> Iterator[Recording]:
         held, corrected = list[HeldSamples](), {mark.triad for mark in block.corrections}
         # Accelerometers first: what both repeat at once is no gyroscope's dead zone.
         for name, channel in sorted(block.channels.items(), key=lambda c: c[1].quantity):
-            measured = channel.quantity in ("acceleration", "angular_rate") and channel.t.size
+            measured = channel.quantity in INERTIAL and channel.t.size
             if measured and channel.triad not in corrected:
                 force = [h for h in held if h.channel == f"{channel.triad}/acceleration"]
                 held += seen.setdefault(name, _Repeats(name, channel)).add(channel, force)
