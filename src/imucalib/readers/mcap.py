@@ -65,6 +65,8 @@ _CHUNK_PATTERN = re.compile(
     re.DOTALL,
 )
 _MESSAGE_PATTERN = re.compile(rb"\x05(?=.{3}\x00{5})", re.DOTALL)
+#: Yields messages, returns where the next record begins.
+_Steps = Generator[MessageBlock, None, int]
 
 
 class MalformedRecordError(ValueError):
@@ -265,10 +267,6 @@ class _Definitions:
             if self.topics.setdefault(topic.id, topic) != topic:
                 return f"channel {topic.id} is defined twice, differently"
         return ""
-
-
-#: Yields messages, returns where the next record begins.
-_Steps = Generator[MessageBlock, None, int]
 
 
 class McapLog(MessageLog):

@@ -58,6 +58,11 @@ _TYPE = np.dtype(
     ]
 )
 Bytes = NDArray[np.uint8]
+DEVICE = Device(
+    "axivity",
+    FieldMapping(time="1", acc=("2", "3", "4"), acc_unit="g"),
+    source="wadpac/GGIR, inst/testfiles/ax3_testfile.csv",
+)
 
 
 class CwaReader(Joined):
@@ -90,11 +95,6 @@ class CwaReader(Joined):
 
 
 READER = CwaReader()
-DEVICE = Device(
-    "axivity",
-    FieldMapping(time="1", acc=("2", "3", "4"), acc_unit="g"),
-    source="wadpac/GGIR, inst/testfiles/ax3_testfile.csv",
-)
 
 
 def _device(head: bytes) -> tuple[str, str]:

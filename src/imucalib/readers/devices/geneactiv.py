@@ -41,6 +41,20 @@ _MOST_BAD = 100_000  # damaged pages: more than 100 Hz of three days
 _DRIFT = 0.01  # a quartz sets the pace
 #: Longest header, and bytes without a page after which the file is no recording.
 _MOST_HEADER, _MOST_WASTE = 1 << 16, 16 << 20
+DEVICE = Device(
+    "geneactiv",
+    FieldMapping(
+        time="1",
+        acc=("2", "3", "4"),
+        temperature=("7",),
+        time_unit="text",
+        time_format="%Y-%m-%d %H:%M:%S:%f",
+        acc_unit="g",
+        temperature_unit="degC",
+    ),
+    words=("geneactiv",),
+    source="harvard-nrg/pygeneactiv, tests/right_wrist.csv (blanks at the ends of lines left out)",
+)
 
 
 @dataclass
@@ -118,20 +132,6 @@ class GeneactivReader(Joined):
 
 
 READER = GeneactivReader()
-DEVICE = Device(
-    "geneactiv",
-    FieldMapping(
-        time="1",
-        acc=("2", "3", "4"),
-        temperature=("7",),
-        time_unit="text",
-        time_format="%Y-%m-%d %H:%M:%S:%f",
-        acc_unit="g",
-        temperature_unit="degC",
-    ),
-    words=("geneactiv",),
-    source="harvard-nrg/pygeneactiv, tests/right_wrist.csv (blanks at the ends of lines left out)",
-)
 
 
 def _pages(stream: Stream, where: str) -> Iterator[list[bytes]]:

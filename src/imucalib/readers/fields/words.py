@@ -15,24 +15,7 @@ from typing import TypeVar
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical, strip_brackets
 
 T = TypeVar("T")
-
-
-def by_word(table: Mapping[T, str]) -> dict[str, T]:
-    """Every word of the texts of a table, and whose it is."""
-    return {word: value for value, words in table.items() for word in words.split()}
-
-
 INERTIAL = ("acceleration", "angular_rate")
-_KINDS = by_word(
-    {
-        "acceleration": "a acc acce accel acceleration accelerometer accelerations accelero linacc "
-        "linaccel linacce linearacceleration specificforce beschleunigung beschl "
-        "beschleunigungssensor accelerometre aceleracion aceleraciones acelerometro acel",
-        "angular_rate": "g w gyr gyro gyros gyroscope omega angular angvel angrate rotationrate "
-        "rotrate turnrate bodyrate angularvelocity angularvelocities angularrate drehrate "
-        "gyroskop gyrometre drehgeschwindigkeit giroscopo giro",
-    }
-)
 #: Two words that are one.
 _PHRASES = {
     ("rotation", "rate"): "rotationrate",
@@ -83,9 +66,6 @@ _GENERIC = {""} | set(
         "sensors data raw calibrated imu readings table value values processed x linear angular"
     )
 )
-_NAMES = "|".join(sorted(_KINDS, key=len, reverse=True))
-_LONG = "|".join(sorted((word for word in _KINDS if len(word) > 1), key=len, reverse=True))
-_COMPACT = re.compile(rf"^({_NAMES})(\d*)([xyz])(\d*)$|^([xyz])({_LONG})(\d*)$")
 #: Three names that are one vector where nothing else is one: p, q, r of a body; f of a force.
 #: Kalibr calls the acceleration alpha, with a rate called omega; else that is no force.
 _TRIPLES = {
@@ -101,6 +81,42 @@ _BRACKETED = re.compile(r"\s*(\[[^\[\]]*\]|\((?:[^()]|\([^()]*\))*\))\s*$")
 #: A unit behind a name without brackets, where it is written with a slash: "acc_x_m/s^2".
 _SLASHED = re.compile(r"[\s_.\-]+([^\s_]+/[^\s_]+|[^\s_]+/\(?s\^?2\)?)$")
 _TEX = re.compile(r"\\(?:hat|vec|bar|tilde|mathrm|mathbf|text|dot)\s*|[\\${}]|\^\{?\\circ\}?")
+_RATE_WORDS = {"rad": "rad/s", "deg": "deg/s"}  # last words of the name of a rate alone
+#: Units that a name may state of a column without saying that it is a time, and last words that
+#: name the unit of one that does ("elapsed_min"; of "acc_x_min" it is a minimum).
+_STAMP_UNITS = {"s", "ms", "us", "ns", "100us"}
+#: Parts of a stamp in columns of their own, in its order; i and u are whole ms and us.
+_PARTS = {
+    "Y": "year yr",
+    "M": "month mon",
+    "D": "day",
+    "h": "hour hr hours",
+    "m": "minute min minutes",
+    "s": "second sec seconds secs",
+    "i": "millisecond ms msec milliseconds",
+    "u": "microsecond us usec microseconds",
+}
+Name = str | tuple[str, ...]
+
+
+def by_word(table: Mapping[T, str]) -> dict[str, T]:
+    """Every word of the texts of a table, and whose it is."""
+    return {word: value for value, words in table.items() for word in words.split()}
+
+
+_KINDS = by_word(
+    {
+        "acceleration": "a acc acce accel acceleration accelerometer accelerations accelero linacc "
+        "linaccel linacce linearacceleration specificforce beschleunigung beschl "
+        "beschleunigungssensor accelerometre aceleracion aceleraciones acelerometro acel",
+        "angular_rate": "g w gyr gyro gyros gyroscope omega angular angvel angrate rotationrate "
+        "rotrate turnrate bodyrate angularvelocity angularvelocities angularrate drehrate "
+        "gyroskop gyrometre drehgeschwindigkeit giroscopo giro",
+    }
+)
+_NAMES = "|".join(sorted(_KINDS, key=len, reverse=True))
+_LONG = "|".join(sorted((word for word in _KINDS if len(word) > 1), key=len, reverse=True))
+_COMPACT = re.compile(rf"^({_NAMES})(\d*)([xyz])(\d*)$|^([xyz])({_LONG})(\d*)$")
 #: Last words of a name that state its unit.
 _UNIT_WORDS = by_word(
     {
@@ -119,7 +135,6 @@ _UNIT_WORDS = by_word(
         "s": "seconds sec secs",
     }
 )
-_RATE_WORDS = {"rad": "rad/s", "deg": "deg/s"}  # last words of the name of a rate alone
 # Last words of a temperature's name, joined; "tempC" and "temp_degC" are split before the C.
 _TEMPERATURE_UNITS = by_word(
     {
@@ -128,9 +143,6 @@ _TEMPERATURE_UNITS = by_word(
         "K": "k kelvin degk",
     }
 )
-#: Units that a name may state of a column without saying that it is a time, and last words that
-#: name the unit of one that does ("elapsed_min"; of "acc_x_min" it is a minimum).
-_STAMP_UNITS = {"s", "ms", "us", "ns", "100us"}
 _TIME_WORDS = by_word(
     {
         "min": "min mins minutes minute",
@@ -142,19 +154,7 @@ _TIME_WORDS = by_word(
         "ticks": "ticks",
     }
 )
-#: Parts of a stamp in columns of their own, in its order; i and u are whole ms and us.
-_PARTS = {
-    "Y": "year yr",
-    "M": "month mon",
-    "D": "day",
-    "h": "hour hr hours",
-    "m": "minute min minutes",
-    "s": "second sec seconds secs",
-    "i": "millisecond ms msec milliseconds",
-    "u": "microsecond us usec microseconds",
-}
 _PART_OF = by_word(_PARTS)
-Name = str | tuple[str, ...]
 
 
 @dataclass(frozen=True)

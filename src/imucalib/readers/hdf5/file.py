@@ -33,6 +33,8 @@ _SPAN, _PIECE = 32 << 20, 4 << 20  # and how many are held at a time
 _LARGEST = 1 << 20  # of a heap; the library makes them of 4 KiB, or as large as one text needs
 _DEEPEST = 8  # virtual datasets of virtual datasets
 _RANGES = 3  # of absent rows that are named
+Spans = NDArray[np.int64]  #: (k, 2) first row and end of each stretch that is held, in order
+_NONE: Spans = np.empty((0, 2), dtype=np.int64)
 
 
 def _demand_heaps_end(path: Path) -> None:
@@ -68,10 +70,6 @@ def _ends(data: bytes, start: int) -> bool:
             return False
         at += step
     return True
-
-
-Spans = NDArray[np.int64]  #: (k, 2) first row and end of each stretch that is held, in order
-_NONE: Spans = np.empty((0, 2), dtype=np.int64)
 
 
 def _outside(node: Any, path: Path) -> str:

@@ -33,6 +33,8 @@ EACH = "[]"
 _UNREADABLE = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError)
 _DEEPEST, _MOST_FIELDS = 12, 1000
 _DEEPEST_UNSET = 4  # of a protobuf's fields that the message does not have
+#: Payloads to trees, None for one that cannot be parsed.
+Parse = Callable[[Sequence[bytes]], list[Any]]
 
 
 class Decoded(NamedTuple):
@@ -251,10 +253,6 @@ def _unpack(block: MessageBlock) -> MessageBlock:
             pieces.append(b"")
     lengths = np.array([len(p) for p in pieces], dtype=np.int64)
     return MessageBlock(b"".join(pieces), np.cumsum(lengths) - lengths, lengths)
-
-
-#: Payloads to trees, None for one that cannot be parsed.
-Parse = Callable[[Sequence[bytes]], list[Any]]
 
 
 class TreeDecoder(Decoder):

@@ -39,6 +39,7 @@ META_UNITS = {"acceleration": "imucal.acc_unit", "angular_rate": "imucal.gyro_un
 
 Leaves = Mapping[str, int]  # path -> how many numbers
 _SAMPLED = 2000  # messages of a topic that give its norms, of the first block that has any
+_Parts = dict[str, tuple[str, int]]
 
 
 @dataclass(frozen=True)
@@ -278,9 +279,6 @@ def natural_key(text: str) -> tuple[tuple[bool, int, str], ...]:
     """Sort key under which imu2 comes before imu10."""
     parts = re.split(r"(\d+)", text)
     return tuple((p.isdigit(), int(p) if p.isdigit() else 0, p) for p in parts)
-
-
-_Parts = dict[str, tuple[str, int]]
 
 
 def triads_of(mapping: FieldMapping, sources: Mapping[str, TopicSource]) -> list[TopicTriad]:
