@@ -37,42 +37,6 @@ _PAIRS = re.compile(r",(?=[^,=]*=|\s*$)")
 PAGE = 60
 #: How an option begins whose breach is exit 1, and its help.
 _LIMIT, LIMIT_HELP = "--max-", "Limit: "
-
-
-def option(names: str, text: str, **words: Any) -> Parameter:
-    """As click.option: spellings and name separated by blanks, its help, and click's words; a
-    default that says something is shown."""
-    shown = words.get("default") not in (None, "")
-    return click.option(*names.split(), help=text, **{"show_default": shown, **words})
-
-
-#: Options without a value, and those whose value is any path, a file's or a folder's.
-flag = partial(option, is_flag=True)
-path, file, folder = (partial(option, type=kind) for kind in (PATH, FILE, FOLDER))
-
-
-def many(names: str, metavar: str, text: str) -> Parameter:
-    """An option that may be repeated."""
-    return option(names, text, multiple=True, metavar=metavar)
-
-
-def choice(names: str, words: str, text: str, **more: Any) -> Parameter:
-    """An option whose value is one of some words."""
-    return option(names, text, type=click.Choice(words.split()), **more)
-
-
-def combine(parameters: Iterable[Parameter]) -> Parameter:
-    """Several parameters as one, in the order of the help."""
-    made = tuple(parameters)
-
-    def add(command: Any) -> Any:
-        for parameter in reversed(made):
-            command = parameter(command)
-        return command
-
-    return add
-
-
 #: Parameter -> help of the option of that name.
 _READING = {
     "mapping": "Recording: mapping file, as `inspect --save-mapping` writes it.",
@@ -113,6 +77,44 @@ _FORMS: dict[str, dict[str, Any]] = {
 }
 #: Parameters of `recording`.
 READING = tuple(_READING)
+_WHOLE_HELP = "imucal.help_all"
+Records = list[tuple[str, str]]
+
+
+def option(names: str, text: str, **words: Any) -> Parameter:
+    """As click.option: spellings and name separated by blanks, its help, and click's words; a
+    default that says something is shown."""
+    shown = words.get("default") not in (None, "")
+    return click.option(*names.split(), help=text, **{"show_default": shown, **words})
+
+
+#: Options without a value, and those whose value is any path, a file's or a folder's.
+flag = partial(option, is_flag=True)
+path, file, folder = (partial(option, type=kind) for kind in (PATH, FILE, FOLDER))
+
+
+def many(names: str, metavar: str, text: str) -> Parameter:
+    """An option that may be repeated."""
+    return option(names, text, multiple=True, metavar=metavar)
+
+
+def choice(names: str, words: str, text: str, **more: Any) -> Parameter:
+    """An option whose value is one of some words."""
+    return option(names, text, type=click.Choice(words.split()), **more)
+
+
+def combine(parameters: Iterable[Parameter]) -> Parameter:
+    """Several parameters as one, in the order of the help."""
+    made = tuple(parameters)
+
+    def add(command: Any) -> Any:
+        for parameter in reversed(made):
+            command = parameter(command)
+        return command
+
+    return add
+
+
 #: How a recording is read; `mapping_of` turns the values into a FieldMapping.
 recording = combine(
     option(f"--{name.replace('_', '-')}", text, **_FORMS.get(name, {}))
@@ -404,9 +406,6 @@ _RARE = {
 }
 RARE = {heading: tuple(names.split()) for heading, names in _RARE.items()}
 _HEADING = {name: heading for heading, names in RARE.items() for name in names}
-_WHOLE_HELP = "imucal.help_all"
-
-Records = list[tuple[str, str]]
 
 
 def _show_all(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
