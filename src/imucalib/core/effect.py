@@ -360,11 +360,10 @@ class Rotation(Described):
         total = np.broadcast_to(np.eye(3), (x.shape[0], 3, 3))
         for turn in self.turns:
             axis, weight = turn(context)
-            cross = cross_matrix(axis)
-            rotation = _rodrigues(cross, weight @ theta * DEG)
+            rotation = rotations(axis * (weight @ theta * DEG)[:, None])
             turned = turned @ rotation.transpose(0, 2, 1)
             slope = rotation[:, None] @ slope
-            slope += (turned @ -cross)[..., None] * (weight * DEG)[:, None, None, :]
+            slope += (turned @ -cross_matrix(axis))[..., None] * (weight * DEG)[:, None, None, :]
             total = rotation @ total
         d_x = np.broadcast_to((total - np.eye(3))[:, None], (*x.shape, 3))
         return Action(turned - x, slope, d_x)
@@ -438,12 +437,6 @@ def cross_matrix(axis: Array) -> Array:
     out = np.zeros((*axis.shape[:-1], 3, 3))
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -axis[..., 2], axis[..., 1], -axis[..., 0]
     return np.asarray(out - out.swapaxes(-1, -2))
-
-
-def _rodrigues(cross: Array, angle: Array) -> Array:
-    """Rotation matrices (n, 3, 3) about the axes of `cross` by angles (n,) in rad."""
-    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + s * cross + (1.0 - c) * (cross @ cross))
 
 
 def own_axis(values: Array) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.effect import Context, Effect, EffectScan, Parameter, Response, Truth
+from imucalib.core.sphere import even_directions
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: Bumps that are tried, and observations from which on: one for each of the finer, whose prior
@@ -18,14 +19,6 @@ from imucalib.units import MG, STANDARD_GRAVITY
 _BUMPS, _FEWEST = (24, 80), 80
 _MOST = 400
 _FADES = 0.05 * STANDARD_GRAVITY  # m/s²
-
-
-def centres(bumps: int) -> Array:
-    """(bumps, 3) unit vectors along a spiral whose turns are equal areas (Saff and Kuijlaars)."""
-    order = np.arange(bumps) + 0.5
-    height, turn = 1.0 - 2.0 * order / bumps, np.pi * (1.0 + 5.0**0.5) * order
-    across = np.sqrt(1.0 - height**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
 
 
 def _up(truth: Truth) -> tuple[Array, Array]:
@@ -48,7 +41,7 @@ def posture(value: str) -> Effect:
     bumps = int(value)
     if not 0 < bumps <= _MOST:
         raise ValueError(f"'{value}' is no number of bumps")
-    middle, sharp = centres(bumps), bumps / (4.0 * np.pi)  # one over the area of each
+    middle, sharp = even_directions(bumps), bumps / (4.0 * np.pi)  # one over the area of each
     lower = _harmonics(sharp)
     steep = np.polynomial.Polynomial(lower).deriv().coef
 

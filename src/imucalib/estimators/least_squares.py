@@ -25,9 +25,13 @@ from imucalib.core.fit import Fit, null_directions, shrink_rows
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior
-from imucalib.estimators.in_a_population import estimate_in_population
 from imucalib.estimators.levenberg_marquardt import Solution, minimise
-from imucalib.estimators.variance import NoiseEstimate, estimate_noise, estimate_with_prior
+from imucalib.estimators.variance import (
+    NoiseEstimate,
+    estimate_in_population,
+    estimate_noise,
+    estimate_with_prior,
+)
 
 #: Rounds in which η settles at one θ, and the change (rad) from which the next one, its square,
 #: would be rounding.
