@@ -96,6 +96,8 @@ def _jumps(w: Windows) -> Flags:
     from the median of the means around it, of good windows alone, than the largest of what a case
     changes from window to window, of the noise of these distances, and of steps of the means. Where
     that many good ones are not there, nothing is held against them."""
+    from scipy.ndimage import median_filter
+
     low, high = w.low[:, 0], w.high[:, 0]
     bad = ~(np.isfinite(w.mean[:, 0]) & (low >= _RANGE[0]) & (high <= _RANGE[1]))
     good = np.flatnonzero(~bad)
@@ -103,7 +105,7 @@ def _jumps(w: Windows) -> Flags:
     half = int(np.clip(round(_AROUND / interval), _FEWEST, _WIDEST))
     if good.size <= 2 * half:
         return bad
-    around = _medians(w.mean[good, 0], half)
+    around = median_filter(w.mean[good, 0], 2 * half + 1, mode="mirror")
     off = np.maximum(high[good] - around, around - low[good])
     limit = max(
         float(np.clip(_FASTEST * interval, _LEAST, _MOST)),
@@ -117,14 +119,6 @@ def _jumps(w: Windows) -> Flags:
 def _interval(w: Windows) -> float:
     """s from window to window, the median; of one alone 1 s."""
     return float(np.median(np.diff(w.start))) if w.start.size > 1 else 1.0
-
-
-def _medians(values: Array, half: int) -> Array:
-    """(n,) median of every value with `half` on either side, mirrored at the ends."""
-    padded = np.pad(values, half, mode="reflect")
-    return np.asarray(
-        np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1), axis=1)
-    )
 
 
 def _step(values: Array) -> float:

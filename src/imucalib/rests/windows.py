@@ -116,6 +116,10 @@ class Windows:
         """(m - 1,) whether the next window is of the same run."""
         return np.asarray(np.diff(self.run) == 0)
 
+    def joined(self, rows: Index) -> Flags:
+        """(k - 1,) of some windows in order, whether each follows the one before in its run."""
+        return np.asarray((np.diff(rows) == 1) & (np.diff(self.run[rows]) == 0))
+
 
 def join_windows(parts: Sequence[Windows]) -> Windows:
     """Windows of one channel, one part behind the other."""

@@ -162,9 +162,7 @@ def series(
     edges = np.append(np.arange(0.0, scanned.stop, request.every), np.inf)
     parts = []
     for start, stop in pairwise(edges):
-        inside = (runs.time >= start) & (runs.time < stop)
-        kept = ("mean", "windows", "time", "temperature")
-        own = replace(runs, **{name: getattr(runs, name)[inside] for name in kept})
+        own = runs.take((runs.time >= start) & (runs.time < stop))
         end = float(min(stop, scanned.stop))
         found, reason = _fit(own, scanned, request)
         parts.append(SeriesPart(float(start), end, own.n, found, reason))
