@@ -244,7 +244,6 @@ class Response(Described):
     basis : (truth, context) -> (n, K, 3, m), m/s² or rad/s per unit
     basis_dx : (truth, context) -> (n, K, 3, m, 3), its derivative by the specific force, or None
         where it does not depend on it
-    scan : whether one triad alone may have it, so that it is tried on each
     total : (theta, truth, context) -> (n, K, 3), what all parameters add together, where that is
         far less work than the basis
     lagged : where it says when sensors read: what is met of a quantity by sensors that lag; θ and
@@ -258,7 +257,6 @@ class Response(Described):
     basis_dx: Basis | None = None
     channel: Channel = "acceleration"
     shared: bool = False
-    scan: bool = False
     total: Callable[[Array, Truth, Context], Array] | None = None
     lagged: Lagged | None = None
     twin: str = ""

@@ -12,9 +12,8 @@ import numpy as np
 
 from imucalib.arrays import Index
 from imucalib.calibration.outcome import ErrorSummary
-from imucalib.calibrators.lab.errors import Split, error_summary, leave_each_out
+from imucalib.calibrators.lab.errors import Split, error_summary, leave_each_out, session_folds
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.sessions import session_folds
 from imucalib.calibrators.population import of_a_kind
 from imucalib.calibrators.rivals import mix_rivals
 from imucalib.core.fit import Fit

@@ -78,7 +78,7 @@ def array_catalogue() -> dict[str, Response]:
 def _set_size(effect: Response) -> Response:
     typical = _AFTER_RESTS.get(effect.name)
     each = [p if typical is None else replace(p, typical=typical) for p in effect.each]
-    return replace(effect, each=tuple(each), scan=not effect.shared)
+    return replace(effect, each=tuple(each))
 
 
 def twins_of(name: str) -> tuple[str, ...]:
