@@ -74,7 +74,6 @@ class Parameter:
     typical : one standard deviation of what data sheets and practice let one expect, in `unit`
     plausible : largest absolute value that is still believed, in `unit`
     start : the value at which the effect is absent
-    usual : largest that data sheets let one expect, in `unit`; the name of a larger one is in doubt
     least : smallest value that is still believed, in `unit`, of what has one sign
     """
 
@@ -83,7 +82,6 @@ class Parameter:
     typical: float
     plausible: float
     start: float = 0.0
-    usual: float = math.inf
     least: float = -math.inf
 
 

@@ -1,6 +1,4 @@
-"""What every estimator returns.
-
-What the data cannot determine, in words.
+"""What every estimator returns, and what the data cannot determine, in words.
 
 A combination of parameters is open when the data know it worse than data sheets do: singular
 values of the whitened Jacobian, scaled by each parameter's typical size.
@@ -123,7 +121,6 @@ class Fit:
     log_likelihood: float
     null_directions: tuple[str, ...]
     converged: bool
-    iterations: int
     prior: Prior | None = None
     mixture: NoiseMixture | None = None
     shrink: Array | None = None

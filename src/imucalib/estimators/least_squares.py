@@ -68,12 +68,11 @@ def fit(
     names = balance(model, theta, eta, observations).component
     current = noise or begin or Noise(1.0, names, tuple(0.01 for _ in names))
     estimate: NoiseEstimate | None = None
-    converged, steps, failed = False, 0, 0
+    converged, failed = False, 0
     for turn in range(rounds):
         problem = _Problem(model, observations, current, prior, shrink)
         solution = problem.solve(theta, eta, fresh=turn == 0)
         theta, eta, at = solution.state.theta, solution.state.eta, solution.state.at
-        steps += solution.iterations
         if prior is None:
             whole = at if shrink is None else _add_rows(at, shrink_rows(shrink, first - theta))
             estimate = estimate_noise(whole, current, fixed=noise is not None)
@@ -90,7 +89,7 @@ def fit(
             break
     assert estimate is not None
     found = _finish(model, observations, theta, eta, at, estimate)
-    return replace(found, converged=converged, iterations=steps, prior=prior, shrink=shrink)
+    return replace(found, converged=converged, prior=prior, shrink=shrink)
 
 
 def evaluate(
@@ -256,5 +255,4 @@ def _finish(
         log_likelihood=estimate.log_likelihood,
         null_directions=null_directions(estimate.white_jacobian, parameters, estimate.noise.factor),
         converged=True,
-        iterations=0,
     )

@@ -38,7 +38,6 @@ class Solution(Generic[State]):
     residual: Array
     jacobian: Array
     converged: bool
-    iterations: int
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ def minimise(
     point = _polish(linearise, move, point, widest)
     settled = point.gain <= _TOLERANCE * point.cost or point.cost <= _FLOOR**2 * point.residual.size
     kept = bool(np.all(point.norms >= _RUNAWAY * widest))
-    return Solution(point.state, point.residual, point.jacobian, settled and kept, used)
+    return Solution(point.state, point.residual, point.jacobian, settled and kept)
 
 
 def _linearise(

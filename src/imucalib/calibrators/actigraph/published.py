@@ -17,11 +17,10 @@ from typing import Annotated
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import from_fit
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.calibrators.actigraph.run import provenance
+from imucalib.calibrators.actigraph.run import calibration_of, provenance
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -158,25 +157,10 @@ def calibrate_as_published(
         notes=scanned.notes,
         sensor=scanned.sensor,
     )
-    facts = {
-        "gravity_source": request.gravity_source,
-        "errors": [error.as_dict() for error in outcome.errors],
-        "method": plain(methods),
-        "provenance": outcome.provenance.as_dict(),
-    }
+    facts = {"errors": [error.as_dict()], "method": plain(methods)}
     return PublishedRun(
         outcome=outcome,
-        calibration=from_fit(
-            found,
-            "actigraph",
-            raw_unit="m/s2",
-            raw_to_si=1.0,
-            gravity=request.gravity,
-            status=outcome.status,
-            reasons=outcome.reasons,
-            facts=facts,
-            sensor=outcome.sensor,
-        ),
+        calibration=calibration_of(found, outcome, request, facts),
         details=PublishedDetails(methods, first, second),
         scanned=scanned,
     )
