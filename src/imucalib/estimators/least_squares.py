@@ -36,6 +36,8 @@ from imucalib.estimators.variance import (
 #: Rounds in which η settles at one θ, and the change (rad) from which the next one, its square,
 #: would be rounding.
 _SETTLING, _SETTLED = 6, 1e-5
+#: Rounds of both steps.
+_ROUNDS = 60
 #: Rounds in a row in which θ creeps without end: twelve terms of a curve took 40 s for nothing.
 _PATIENCE = 3
 
@@ -49,7 +51,6 @@ def fit(
     begin: Noise | None = None,
     prior: Prior | None = None,
     shrink: Array | None = None,
-    rounds: int = 60,
 ) -> Fit:
     """Fit θ, η and, unless `noise` is given, the noise.
 
@@ -69,7 +70,7 @@ def fit(
     current = noise or begin or Noise(1.0, names, tuple(0.01 for _ in names))
     estimate: NoiseEstimate | None = None
     converged, failed = False, 0
-    for turn in range(rounds):
+    for turn in range(_ROUNDS):
         problem = _Problem(model, observations, current, prior, shrink)
         solution = problem.solve(theta, eta, fresh=turn == 0)
         theta, eta, at = solution.state.theta, solution.state.eta, solution.state.at

@@ -23,6 +23,7 @@ from imucalib.errors import NotConverged
 
 #: (chains, d) in the frame -> log density (chains,), up to a constant
 Target = Callable[[Array], Array]
+_PAIRS = 2  # of chains
 #: Shares β of a proposal that is new, tried in this order, and the acceptance from which one
 #: serves: half as many taken cost three times the draws, a β of 0.7 costs as many.
 _STEPS, _TAKEN = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15), 0.5
@@ -160,7 +161,6 @@ def sample(
     d: int,
     rng: np.random.Generator,
     *,
-    pairs: int = 2,
     stop: Stop | None = None,
     seen: Callable[[Array], Array] = lambda draws: draws,
 ) -> Chains:
@@ -172,8 +172,8 @@ def sample(
     Raises NotConverged with the diagnostics when `stop.most` draws are not enough.
     """
     rule, steps, taken = stop or Stop(), list(_STEPS), 0.0
-    z = _opposite(rng, pairs, d)
-    level, draws = target(z), np.empty((2 * pairs, 0, d))
+    z = _opposite(rng, _PAIRS, d)
+    level, draws = target(z), np.empty((2 * _PAIRS, 0, d))
     while True:
         z, level, more, share = _block(target, z, level, steps[0], rule.block, rng)
         if share < _TAKEN and len(steps) > 1 and not draws.size:

@@ -63,12 +63,12 @@ class AllanCurve:
     def deviation(self) -> Array:
         return np.sqrt(self.variance)
 
-    def interval(self, level: float = 0.95) -> tuple[Array, Array]:
-        """(M,) ends of the deviation's interval, by its chi-square (SP 1065, section 5.3.1)."""
+    def interval(self) -> tuple[Array, Array]:
+        """(M,) ends of the deviation's 95 % interval by its χ² (SP 1065, section 5.3.1)."""
         from scipy.special import chdtri
 
-        ends = (1.0 + level) / 2.0, (1.0 - level) / 2.0
-        low, high = (self.variance * self.freedom / chdtri(self.freedom, 1.0 - e) for e in ends)
+        tails = 0.025, 0.975
+        low, high = (self.variance * self.freedom / chdtri(self.freedom, p) for p in tails)
         return np.sqrt(low), np.sqrt(high)
 
 

@@ -32,7 +32,6 @@ from imucalib.rests.windows import (
     WindowBuilder,
     Windows,
     find_breaks,
-    in_order,
     join_windows,
     usable_windows,
     window_statistics,
@@ -382,7 +381,6 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
                 stop = max(stop, float(channel.t[-1])) if channel.t.size else stop
     if first is None or tails is None:
         raise undecided((), "", first.path if first else "")
-    held = [h for h in held if h.channel == f"{name}/acceleration"]
     ordered, lost = usable_windows(
         builders["acceleration"],
         held,
@@ -392,7 +390,7 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
     )
     notes += [f"{lost} windows left out: time had stepped back"] * bool(lost)
     warm = builders["temperature"].windows() if "temperature" in builders else None
-    temperature, words = believable_windows(in_order(warm)[0] if warm else None)
+    temperature, words = believable_windows(warm)
     return Scan(
         windows=ordered,
         temperature=temperature,

@@ -42,14 +42,15 @@ _PLAIN = {PLAY.prefix: 0.97, LAG.prefix: 0.999}
 
 
 def believable_windows(w: Windows | None) -> tuple[ThermalHistory | None, tuple[str, ...]]:
-    """What windows of a thermometer, if there is one, tell without those that hold a jump; None
-    where more than half do. How many those are, in words, or nothing.
+    """What windows of a thermometer, if there is one, tell in order of time without those that hold
+    a jump; None where more than half do. How many those are, in words, or nothing.
 
     Gone is a window's length, or the time from one to the next where that is longer, about its
     middle; the resolution is that of the samples, of means where each window is one sample.
     """
     if w is None:
         return None, ()
+    w, _ = in_order(w)
     bad, gone = _jumps(w), np.empty((0, 2))
     words: tuple[str, ...] = ()
     if bad.any():
@@ -204,7 +205,7 @@ def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory |
     windows = builder.windows() if builder else None
     if windows is None:
         return None
-    found, _ = believable_windows(in_order(windows)[0])
+    found, _ = believable_windows(windows)
     everything = np.array([[-np.inf, np.inf]])
     return found or ThermalHistory(np.empty(0), np.empty(0), everything)
 

@@ -212,6 +212,7 @@ def usable_windows(
     """Windows of a channel in order of time, in which nothing is held, and how many were left out
     since time had stepped back. Raises Undetermined where there are none.
 
+    held : of the recording; name : of the channel
     longer : remedy where no window is full; with_more : adds others of the channel, in order
     """
     windows = builder.windows()
@@ -222,7 +223,7 @@ def usable_windows(
             remedy=longer,
         )
     ordered, lost = in_order(windows)
-    ordered = drop_held(with_more(ordered), held)
+    ordered = drop_held(with_more(ordered), [h for h in held if h.channel == name])
     if not ordered.start.size:
         raise Undetermined(
             f"{name} repeats one reading in every stretch of {builder.samples} samples",
