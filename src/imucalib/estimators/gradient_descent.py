@@ -164,7 +164,11 @@ def norm_errors(p: Array, points: Array) -> Array:
     return np.asarray(np.linalg.norm(apply(p, points), axis=1) - 1.0)
 
 
+def mean_error(p: Array, points: Array) -> float:
+    """g, mean of the absolute errors; NaN without points."""
+    return float(np.mean(np.abs(norm_errors(p, points)))) if len(points) else float("nan")
+
+
 def improvement(p: Array, points: Array) -> float:
     """R of eq. (21) in per cent, on the means of the absolute errors."""
-    before = float(np.mean(np.abs(np.linalg.norm(points, axis=1) - 1.0)))
-    return 100.0 * before / max(float(np.mean(np.abs(norm_errors(p, points)))), 1e-12)
+    return 100.0 * mean_error(START, points) / max(mean_error(p, points), 1e-12)

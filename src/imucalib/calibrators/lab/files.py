@@ -38,8 +38,6 @@ from imucalib.rests.segments import Segments, still_segments
 from imucalib.rests.stillness import StillSettings
 from imucalib.units import ACCELERATION_UNITS
 
-#: Inclinations at which the tool-face is none, deg.
-_VERTICAL = {"horizontal": (90.0, -90.0), "vertical": (0.0, 180.0)}
 #: What a mapping may state of a table; anything else is of a recording in time.
 _OF_TABLES = {
     "sensor",
@@ -126,7 +124,7 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
             need_direction=request.reference == "direction",
             mapping=files.mapping if need_raw else None,
             exclude=request.exclude,
-            vertical=_VERTICAL[zero],
+            zero=zero,
         )
     except UsageError as error:
         error.add += _settle_further(files, request, error.add)
