@@ -438,8 +438,3 @@ def cross_matrix(axis: Array) -> Array:
 def own_axis(values: Array) -> Array:
     """(n, K, 3, 3): each axis adds its own value (n, K, 3) times its own parameter."""
     return np.asarray(values[..., None] * np.eye(3))
-
-
-def three(name: str, unit: str, typical: float, plausible: float) -> tuple[Parameter, ...]:
-    """One parameter an axis."""
-    return tuple(Parameter(f"{name}_{axis}", unit, typical, plausible) for axis in "xyz")
