@@ -61,8 +61,7 @@ def fitted(y: Array, step: float) -> Array:
 
 def main() -> None:
     """Judge every mix and print the table."""
-    from imucalib.inspection.allan import AllanSums
-    from imucalib.inspection.noise import identify
+    from imucalib.inspection.noise import AllanSums, identify
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0)

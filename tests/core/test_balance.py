@@ -208,7 +208,7 @@ def test_the_restricted_likelihood_is_that_of_dense_matrices(
     left = restrict(jacobian, components)
     assert left.wide == (2 if third else -1)
     assert (left.out.shape[1] > 0) == (kind == "settings")
-    assert left.freedom == len(jacobian) - jacobian.shape[1]
+    assert len(left.out) - left.out.shape[1] == len(jacobian) - jacobian.shape[1]
     found = left.at(np.array(ratio))
     power = [found.power(found.solve(left.turn(one))) for one in data.T]
     expected, logs = _projected(jacobian, _whole(components, ratio), data)

@@ -7,8 +7,9 @@ import pytest
 
 from imucalib.core.course import course_of, slope_of
 from imucalib.core.effect import Context, Response, Truth
+from imucalib.core.sphere import even_directions
 from imucalib.effects.array.timing import slow
-from imucalib.effects.strap import centres, posture
+from imucalib.effects.strap import posture
 from imucalib.units import MG, STANDARD_GRAVITY
 
 H = 0.01
@@ -47,7 +48,7 @@ def test_the_offset_is_along_gravity_and_as_the_equation_says() -> None:
     context = Context(7, {})
     effect = posture("24")
     delta = effect.act(sizes, Truth(STANDARD_GRAVITY * up[:, None]), context).delta[:, 0] / MG
-    near = np.clip(up @ centres(24).T, -1.0, 1.0)
+    near = np.clip(up @ even_directions(24).T, -1.0, 1.0)
     t = np.linspace(-1.0, 1.0, 400_001)
     line = np.polynomial.Polynomial.fit(t, np.exp(24 / (4.0 * np.pi) * (t - 1.0)), 2)
     bumps = np.exp(24 / (4.0 * np.pi) * (near - 1.0)) - line(near)
@@ -58,7 +59,7 @@ def test_the_offset_is_along_gravity_and_as_the_equation_says() -> None:
 
 def test_an_offset_by_posture_holds_neither_bias_nor_scale() -> None:
     """Over a sphere of postures it is orthogonal to all that the nine parameters do to |a|."""
-    up = centres(20_000)
+    up = even_directions(20_000)
     nine = np.stack([*up.T, *(up[:, i] * up[:, j] for i in range(3) for j in range(i, 3))], axis=1)
     for bumps in (24, 80):
         basis = posture(str(bumps)).basis(Truth(STANDARD_GRAVITY * up[:, None]), Context(20_000))

@@ -8,8 +8,7 @@ from scipy.stats import rankdata
 
 from imucalib.arrays import Array
 from imucalib.errors import NotConverged
-from imucalib.estimators.markov.convergence import convergence, rank_normalised
-from imucalib.estimators.markov.crank_nicolson import Stop, sample
+from imucalib.estimators.markov import Stop, convergence, rank_normalised, sample
 
 GRID = np.linspace(-8, 8, 4001)
 

@@ -16,9 +16,8 @@ from imucalib.core.references import KnownVector
 from imucalib.effects import named
 from imucalib.estimators import least_squares
 from imucalib.estimators.corrected import OBJECTIVES
-from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit
-from imucalib.estimators.variance import NoiseEstimate, estimate_with_prior
+from imucalib.estimators.variance import NoiseEstimate, estimate_with_prior, kind_chance
 from imucalib.units import DEG
 from worlds.bench import base_model, bench, draw, ordinary_theta, tumble
 from worlds.sheets import direction

@@ -16,7 +16,7 @@ from imucalib.estimators.array.published import (
     log_likelihood,
     run_pmmh,
 )
-from imucalib.estimators.markov.convergence import convergence
+from imucalib.estimators.markov import convergence
 from worlds.array import corners, data_of, skew
 
 

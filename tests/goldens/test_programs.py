@@ -21,7 +21,7 @@ from goldens.programs import (
 from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise
 from imucalib.core.references import angles_of
-from imucalib.estimators.markov.convergence import convergence
+from imucalib.estimators.markov import convergence
 from imucalib.estimators.variance import estimate_noise
 from imucalib.readers import read
 from imucalib.units import local_gravity

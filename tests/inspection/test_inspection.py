@@ -11,9 +11,8 @@ import pytest
 from gates.bounds import at_most
 from imucalib import readers, writers
 from imucalib.arrays import Array
-from imucalib.inspection.allan import AllanCurve, AllanSums
 from imucalib.inspection.inspection import inspect_recording, problems
-from imucalib.inspection.noise import Coefficient, identify, noise_at_rest
+from imucalib.inspection.noise import AllanCurve, AllanSums, Coefficient, identify, noise_at_rest
 from imucalib.recording.recording import Gap, Recording
 from imucalib.rests.segments import still_segments
 from imucalib.units import STANDARD_GRAVITY

@@ -10,15 +10,13 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.actigraph import simulation
 from imucalib.calibrators.actigraph.observations import covariates_of
-from imucalib.calibrators.actigraph.simulation import (
-    postures,
-    scan_of,
-    temperature_at,
-)
+from imucalib.calibrators.actigraph.simulation import postures, temperature_at
 from imucalib.calibrators.planted import plant_model
 from imucalib.core.effect import Context
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import PostureRuns, Scan
+from imucalib.rests.thermal import ThermalHistory
+from imucalib.rests.windows import Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 
 DAY = 86400.0
@@ -43,6 +41,36 @@ class Week:
     scanned: Scan
     force: Array
     plan: WeekPlan
+
+
+def scan_of(grid: Array, warm: Array | None, *, rate: float, seconds: float) -> Scan:
+    """A scan that no samples made: its thermometer reads `warm` (t,) in °C at `grid` (t,) in s."""
+    nothing = np.zeros((0, 3))
+    return Scan(
+        windows=Windows(
+            samples=1000,
+            first=np.zeros(0, np.intp),
+            run=np.zeros(0, np.intp),
+            start=np.zeros(0),
+            stop=np.zeros(0),
+            mean=nothing,
+            variance=nothing,
+            low=nothing,
+            high=nothing,
+            finest=np.zeros(3),
+        ),
+        temperature=None if warm is None else ThermalHistory(grid, warm),
+        triad="imu0",
+        rate=rate,
+        samples=int(seconds * rate),
+        stop=seconds,
+        gaps=0,
+        path="simulated",
+        format="simulated",
+        sha256="",
+        start_ns=0,
+        notes=(),
+    )
 
 
 def simulated_week(plan: WeekPlan, seed: int) -> Week:

@@ -14,10 +14,10 @@ from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.observations import covariates_of
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.calibrators.actigraph.simulation import scan_of
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.rests.runs import PostureRuns, Scan
+from worlds.week import scan_of
 
 G = 9.80665
 MG = 1e-3 * G

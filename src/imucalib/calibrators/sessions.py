@@ -84,7 +84,7 @@ def estimate_scatter(
                 value=value,
                 sd_of_mean=mean,
                 sd_next_power_up=float(np.sqrt(by_axis[axis] @ var)),
-                half_of_95=float(next_one.half_widths(np.ones((1, 1)), 0.95)[0]),
+                half_of_95=float(next_one.half_widths(np.ones((1, 1)))[0]),
             )
         )
     scatter = ScatterFacts(

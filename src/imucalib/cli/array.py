@@ -108,7 +108,7 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.motion.laws import find_effect
     from imucalib.calibrators.array.request import Accepted, ArrayRequest
     from imucalib.errors import UsageError
-    from imucalib.estimators.markov.crank_nicolson import Stop
+    from imucalib.estimators.markov import Stop
 
     if len({log.stem for log in logs}) < len(logs):
         raise UsageError("two logs have one name, and so would their folders")

@@ -74,7 +74,6 @@ class Parameter:
     typical : one standard deviation of what data sheets and practice let one expect, in `unit`
     plausible : largest absolute value that is still believed, in `unit`
     start : the value at which the effect is absent
-    usual : largest that data sheets let one expect, in `unit`; the name of a larger one is in doubt
     least : smallest value that is still believed, in `unit`, of what has one sign
     """
 
@@ -83,7 +82,6 @@ class Parameter:
     typical: float
     plausible: float
     start: float = 0.0
-    usual: float = math.inf
     least: float = -math.inf
 
 
@@ -244,7 +242,6 @@ class Response(Described):
     basis : (truth, context) -> (n, K, 3, m), m/s² or rad/s per unit
     basis_dx : (truth, context) -> (n, K, 3, m, 3), its derivative by the specific force, or None
         where it does not depend on it
-    scan : whether one triad alone may have it, so that it is tried on each
     total : (theta, truth, context) -> (n, K, 3), what all parameters add together, where that is
         far less work than the basis
     lagged : where it says when sensors read: what is met of a quantity by sensors that lag; θ and
@@ -258,7 +255,6 @@ class Response(Described):
     basis_dx: Basis | None = None
     channel: Channel = "acceleration"
     shared: bool = False
-    scan: bool = False
     total: Callable[[Array, Truth, Context], Array] | None = None
     lagged: Lagged | None = None
     twin: str = ""
@@ -360,11 +356,10 @@ class Rotation(Described):
         total = np.broadcast_to(np.eye(3), (x.shape[0], 3, 3))
         for turn in self.turns:
             axis, weight = turn(context)
-            cross = cross_matrix(axis)
-            rotation = _rodrigues(cross, weight @ theta * DEG)
+            rotation = rotations(axis * (weight @ theta * DEG)[:, None])
             turned = turned @ rotation.transpose(0, 2, 1)
             slope = rotation[:, None] @ slope
-            slope += (turned @ -cross)[..., None] * (weight * DEG)[:, None, None, :]
+            slope += (turned @ -cross_matrix(axis))[..., None] * (weight * DEG)[:, None, None, :]
             total = rotation @ total
         d_x = np.broadcast_to((total - np.eye(3))[:, None], (*x.shape, 3))
         return Action(turned - x, slope, d_x)
@@ -440,17 +435,6 @@ def cross_matrix(axis: Array) -> Array:
     return np.asarray(out - out.swapaxes(-1, -2))
 
 
-def _rodrigues(cross: Array, angle: Array) -> Array:
-    """Rotation matrices (n, 3, 3) about the axes of `cross` by angles (n,) in rad."""
-    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + s * cross + (1.0 - c) * (cross @ cross))
-
-
 def own_axis(values: Array) -> Array:
     """(n, K, 3, 3): each axis adds its own value (n, K, 3) times its own parameter."""
     return np.asarray(values[..., None] * np.eye(3))
-
-
-def three(name: str, unit: str, typical: float, plausible: float) -> tuple[Parameter, ...]:
-    """One parameter an axis."""
-    return tuple(Parameter(f"{name}_{axis}", unit, typical, plausible) for axis in "xyz")

@@ -1,6 +1,4 @@
-"""What every estimator returns.
-
-What the data cannot determine, in words.
+"""What every estimator returns, and what the data cannot determine, in words.
 
 A combination of parameters is open when the data know it worse than data sheets do: singular
 values of the whitened Jacobian, scaled by each parameter's typical size.
@@ -23,6 +21,7 @@ from imucalib.data import Data
 
 #: A combination counts as open when its standard deviation exceeds this many typical sizes.
 OPEN_AT = 3.0
+_LEVEL = 0.95  # of intervals
 
 
 def null_directions(
@@ -71,8 +70,8 @@ class NoiseMixture:
     shift: Array
     covariance: Array
 
-    def half_widths(self, rows: Array, level: float) -> Array:
-        """(R,) half widths about the fit's θ of intervals of rows (R, p) times θ."""
+    def half_widths(self, rows: Array) -> Array:
+        """(R,) half widths about the fit's θ of 95 % intervals of rows (R, p) times θ."""
         from scipy.special import ndtr
 
         shift = rows @ self.shift.T
@@ -83,7 +82,7 @@ class NoiseMixture:
         for _ in range(40):
             half = 0.5 * (low + high)
             inside = ndtr((half[:, None] - shift) / sd) - ndtr((-half[:, None] - shift) / sd)
-            over = inside @ self.weight > level
+            over = inside @ self.weight > _LEVEL
             low, high = np.where(over, low, half), np.where(over, half, high)
         return np.asarray(high)
 
@@ -123,7 +122,6 @@ class Fit:
     log_likelihood: float
     null_directions: tuple[str, ...]
     converged: bool
-    iterations: int
     prior: Prior | None = None
     mixture: NoiseMixture | None = None
     shrink: Array | None = None
@@ -183,18 +181,18 @@ class Fit:
         spread = float(gradient @ self.noise_covariance @ gradient)
         return float(np.clip(2.0 * v * v / spread, 1.0, 1e6)) if spread > 0.0 else float(self.dof)
 
-    def half_width(self, direction: Array, level: float = 0.95) -> Array:
-        """Half widths (...) of the two-sided intervals of directions (..., p) times θ at a level:
-        of the mixture over the noise, else Student's t."""
+    def half_width(self, direction: Array) -> Array:
+        """Half widths (...) of the two-sided 95 % intervals of directions (..., p) times θ: of the
+        mixture over the noise, else Student's t."""
         from scipy.special import stdtrit
 
         rows = direction.reshape(-1, direction.shape[-1])
         if self.mixture is not None:
-            found = self.mixture.half_widths(rows, level)
+            found = self.mixture.half_widths(rows)
         else:
             variance = np.einsum("rp,pq,rq->r", rows, self.covariance, rows)
             freedom = np.array([self.interval_dof(row) for row in rows])
-            found = stdtrit(freedom, 0.5 + level / 2.0) * np.sqrt(np.maximum(variance, 0.0))
+            found = stdtrit(freedom, 0.5 + _LEVEL / 2.0) * np.sqrt(np.maximum(variance, 0.0))
         return np.asarray(found.reshape(direction.shape[:-1]))
 
 

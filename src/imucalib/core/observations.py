@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.core.effect import Context
+from imucalib.core.effect import Context, cross_matrix
 from imucalib.core.references import Reference
 
 BIAS, MOUNTING = "session bias", "session mounting"
@@ -29,7 +29,8 @@ def add_sessions(data: Observations, session: Index) -> Observations:
         return data
     found = [SharedNoise(BIAS, one, math.inf)]
     if data.reference.directed:
-        found.append(SharedNoise(MOUNTING, one, math.inf, basis=turn_readings(data.reading[:, 0])))
+        turned = -cross_matrix(data.reading[:, 0])  # φ × reading of a small turn φ
+        found.append(SharedNoise(MOUNTING, one, math.inf, basis=turned))
     return replace(data, shared=(*found, *data.shared))
 
 
@@ -37,14 +38,6 @@ def session_of(data: Observations) -> Index | None:
     """(n,) number of each observation's session, or None where there is only one."""
     of = data.of_sessions
     return np.argmax(of[0].factor, axis=1).astype(np.intp) if of else None
-
-
-def turn_readings(reading: Array) -> Array:
-    """(n, 3, 3) what a small turn φ (rad) does to readings (n, 3): φ × reading."""
-    x, y, z = reading.T
-    zero = np.zeros_like(x)
-    rows = ((zero, z, -y), (-z, zero, x), (y, -x, zero))
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
 
 @dataclass(frozen=True)

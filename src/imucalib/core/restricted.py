@@ -49,11 +49,6 @@ class Restricted:
     wide: int
     spread: Array
 
-    @property
-    def freedom(self) -> int:
-        """Numbers less parameters."""
-        return len(self.out) - int(self.out.shape[1])
-
     def turn(self, data: Array) -> Array:
         """Data (N, ...) in these axes (n, ...)."""
         return np.asarray(self.frame.T @ data)

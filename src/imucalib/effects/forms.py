@@ -300,11 +300,6 @@ def _of_covariate(low: float, high: float, order: Index, *, ends: bool) -> Bend:
     return Bend(values, values, labels, (*(1.0 / order), *((1.0, 1.0) if ends else ())))
 
 
-def is_form(name: str) -> bool:
-    """Whether an effect's name is that of a form."""
-    return name.startswith("shape@")
-
-
 #: Between a word and its number, a number and its unit: record17, 12min, 2C.
 _UNIT = re.compile(r"(?<=^record)(?=\d)|(?<=\d)(?=[A-Za-z]+$)")
 

@@ -10,7 +10,9 @@ name. Without a force there is no posture: the offset fades below a twentieth of
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.effect import Context, Effect, EffectScan, Parameter, Response, Truth
+from imucalib.core.effect import Context, Effect, Response, Truth
+from imucalib.core.sphere import even_directions
+from imucalib.effects.parts import scan, sizes, words
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: Bumps that are tried, and observations from which on: one for each of the finer, whose prior
@@ -18,14 +20,6 @@ from imucalib.units import MG, STANDARD_GRAVITY
 _BUMPS, _FEWEST = (24, 80), 80
 _MOST = 400
 _FADES = 0.05 * STANDARD_GRAVITY  # m/s²
-
-
-def centres(bumps: int) -> Array:
-    """(bumps, 3) unit vectors along a spiral whose turns are equal areas (Saff and Kuijlaars)."""
-    order = np.arange(bumps) + 0.5
-    height, turn = 1.0 - 2.0 * order / bumps, np.pi * (1.0 + 5.0**0.5) * order
-    across = np.sqrt(1.0 - height**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
 
 
 def _up(truth: Truth) -> tuple[Array, Array]:
@@ -48,7 +42,7 @@ def posture(value: str) -> Effect:
     bumps = int(value)
     if not 0 < bumps <= _MOST:
         raise ValueError(f"'{value}' is no number of bumps")
-    middle, sharp = centres(bumps), bumps / (4.0 * np.pi)  # one over the area of each
+    middle, sharp = even_directions(bumps), bumps / (4.0 * np.pi)  # one over the area of each
     lower = _harmonics(sharp)
     steep = np.polynomial.Polynomial(lower).deriv().coef
 
@@ -80,13 +74,8 @@ def posture(value: str) -> Effect:
         return np.asarray(MG * (turned + up[..., :, None, None] * uphill[..., None, :, :]))
 
     return Response(
-        f"posture@{value}",
-        "The reading is off along gravity by what depends on the posture, smoothly.",
-        f"y = x + u Σ_k c_k (exp({value}/4π (u·e_k - 1)) - a - b u·e_k - c (u·e_k)²),  u = x/|x|, "
-        "e_k evenly over the sphere, a, b, c such that bias and scale are not in it",
-        "a strap or a cable that presses the case; parts of a mg, practice",
-        "Record the same postures with the sensor worn otherwise, or not worn.",
-        each=tuple(Parameter(f"posture_{value}_{k + 1}", "mg", 1.0, 50.0) for k in range(bumps)),
+        *words("posture@", value, bumps=value),
+        each=sizes("posture@", (str(k + 1) for k in range(bumps)), value),
         basis=basis,
         basis_dx=basis_dx,
         total=total,
@@ -100,13 +89,4 @@ def _values(context: Context) -> tuple[str, ...]:
     return tuple(map(str, _BUMPS)) if context.n >= _FEWEST else ()
 
 
-FAMILIES = (
-    EffectScan(
-        "posture",
-        "The offset depends on the posture, as where a strap presses the case.",
-        "24",
-        posture,
-        _values,
-        free=True,
-    ),
-)
+FAMILIES = (scan("posture", posture, _values, free=True),)

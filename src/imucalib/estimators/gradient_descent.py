@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ Integers = NDArray[np.int64]
 START = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 #: Learning rates of scale, misalignment and offset (section II.C), for the objective without root.
 RATES = np.repeat([0.3, 0.8, 0.2], 3)
-ITERATIONS = 50
+_ITERATIONS, _STEP = 50, 1e-5
 
 
 @dataclass(frozen=True)
@@ -42,21 +43,14 @@ class FixedPoint:
 
 
 #: h is 1e-5 in 32 bits and 0.01 in 16 bits, as the paper chose them.
-INT32 = FixedPoint(32, 28, round(1e-5 * (1 << 28)))
+INT32 = FixedPoint(32, 28, round(_STEP * (1 << 28)))
 INT16 = FixedPoint(16, 13, round(0.01 * (1 << 13)))
 
 
-def apply(p: Array, points: Array) -> Array:
-    """Corrected points (N, 3) in g: eqs. (7)-(9)."""
-    v = points + p[6:]
-    return np.stack(
-        [
-            p[0] * v[:, 0],
-            p[3] * v[:, 0] + p[1] * v[:, 1],
-            p[4] * v[:, 0] + p[5] * v[:, 1] + p[2] * v[:, 2],
-        ],
-        axis=-1,
-    )
+def apply(p: NDArray[Any], points: NDArray[Any]) -> NDArray[Any]:
+    """Corrected points (N, 3) in g: eqs. (7)-(9). Integers give the products, not shifted back."""
+    x, y, z = (points + p[6:]).T
+    return np.stack([p[0] * x, p[3] * x + p[1] * y, p[4] * x + p[5] * y + p[2] * z], axis=-1)
 
 
 def objective(p: Array, points: Array) -> float:
@@ -64,19 +58,19 @@ def objective(p: Array, points: Array) -> float:
     return float(np.mean((np.sum(apply(p, points) ** 2, axis=1) - 1.0) ** 2))
 
 
-def descend(points: Array, *, iterations: int = ITERATIONS, h: float = 1e-5) -> Array:
-    """p (9,) after some iterations in floating point. Raises NotConverged when it diverges."""
+def descend(points: Array) -> Array:
+    """p (9,) in floating point. Raises NotConverged when it diverges."""
     p = START.copy()
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         here = objective(p, points)
-        slope = np.array([(objective(p + h * e, points) - here) / h for e in np.eye(9)])
+        slope = np.array([(objective(p + _STEP * e, points) - here) / _STEP for e in np.eye(9)])
         p = p - RATES * slope
         if not np.isfinite(p).all() or np.abs(p).max() > 10.0:
             raise _diverges()
     return p
 
 
-def descend_fixed(points: Array, form: FixedPoint, *, iterations: int = ITERATIONS) -> Array:
+def descend_fixed(points: Array, form: FixedPoint) -> Array:
     """p (9,) in integers only, every bit as a microcontroller computes it; no square root.
 
     Raises NotConverged when a number outgrows its bits.
@@ -84,7 +78,7 @@ def descend_fixed(points: Array, form: FixedPoint, *, iterations: int = ITERATIO
     v = np.round(points * form.one).astype(np.int64)
     p = np.round(START * form.one).astype(np.int64)
     rates = np.round(RATES * form.one).astype(np.int64)
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         here = _sum_fixed(p, v, form)
         for_each = form.step * np.eye(9, dtype=np.int64)
         change = np.array([_sum_fixed(p + e, v, form) - here for e in for_each])
@@ -96,13 +90,7 @@ def descend_fixed(points: Array, form: FixedPoint, *, iterations: int = ITERATIO
 
 def _sum_fixed(p: Integers, v: Integers, form: FixedPoint) -> int:
     """Sum of squares of (|corrected|² - 1), with twice the fraction bits."""
-    s = v + p[6:]
-    rows = (
-        p[0] * s[:, 0],
-        p[3] * s[:, 0] + p[1] * s[:, 1],
-        p[4] * s[:, 0] + p[5] * s[:, 1] + p[2] * s[:, 2],
-    )
-    corrected = _shift_right(np.stack(rows, axis=-1), form.fraction)
+    corrected = _shift_right(apply(p, v), form.fraction)
     _demand(corrected, form.bits)
     excess = _shift_right(np.sum(corrected * corrected, axis=1), form.fraction) - form.one
     _demand(excess, form.bits)
@@ -176,7 +164,11 @@ def norm_errors(p: Array, points: Array) -> Array:
     return np.asarray(np.linalg.norm(apply(p, points), axis=1) - 1.0)
 
 
+def mean_error(p: Array, points: Array) -> float:
+    """g, mean of the absolute errors; NaN without points."""
+    return float(np.mean(np.abs(norm_errors(p, points)))) if len(points) else float("nan")
+
+
 def improvement(p: Array, points: Array) -> float:
     """R of eq. (21) in per cent, on the means of the absolute errors."""
-    before = float(np.mean(np.abs(np.linalg.norm(points, axis=1) - 1.0)))
-    return 100.0 * before / max(float(np.mean(np.abs(norm_errors(p, points)))), 1e-12)
+    return 100.0 * mean_error(START, points) / max(mean_error(p, points), 1e-12)

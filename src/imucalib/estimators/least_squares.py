@@ -25,13 +25,19 @@ from imucalib.core.fit import Fit, null_directions, shrink_rows
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior
-from imucalib.estimators.in_a_population import estimate_in_population
 from imucalib.estimators.levenberg_marquardt import Solution, minimise
-from imucalib.estimators.variance import NoiseEstimate, estimate_noise, estimate_with_prior
+from imucalib.estimators.variance import (
+    NoiseEstimate,
+    estimate_in_population,
+    estimate_noise,
+    estimate_with_prior,
+)
 
 #: Rounds in which η settles at one θ, and the change (rad) from which the next one, its square,
 #: would be rounding.
 _SETTLING, _SETTLED = 6, 1e-5
+#: Rounds of both steps.
+_ROUNDS = 60
 #: Rounds in a row in which θ creeps without end: twelve terms of a curve took 40 s for nothing.
 _PATIENCE = 3
 
@@ -45,7 +51,6 @@ def fit(
     begin: Noise | None = None,
     prior: Prior | None = None,
     shrink: Array | None = None,
-    rounds: int = 60,
 ) -> Fit:
     """Fit θ, η and, unless `noise` is given, the noise.
 
@@ -64,12 +69,11 @@ def fit(
     names = balance(model, theta, eta, observations).component
     current = noise or begin or Noise(1.0, names, tuple(0.01 for _ in names))
     estimate: NoiseEstimate | None = None
-    converged, steps, failed = False, 0, 0
-    for turn in range(rounds):
+    converged, failed = False, 0
+    for turn in range(_ROUNDS):
         problem = _Problem(model, observations, current, prior, shrink)
         solution = problem.solve(theta, eta, fresh=turn == 0)
         theta, eta, at = solution.state.theta, solution.state.eta, solution.state.at
-        steps += solution.iterations
         if prior is None:
             whole = at if shrink is None else _add_rows(at, shrink_rows(shrink, first - theta))
             estimate = estimate_noise(whole, current, fixed=noise is not None)
@@ -86,7 +90,7 @@ def fit(
             break
     assert estimate is not None
     found = _finish(model, observations, theta, eta, at, estimate)
-    return replace(found, converged=converged, iterations=steps, prior=prior, shrink=shrink)
+    return replace(found, converged=converged, prior=prior, shrink=shrink)
 
 
 def evaluate(
@@ -252,5 +256,4 @@ def _finish(
         log_likelihood=estimate.log_likelihood,
         null_directions=null_directions(estimate.white_jacobian, parameters, estimate.noise.factor),
         converged=True,
-        iterations=0,
     )

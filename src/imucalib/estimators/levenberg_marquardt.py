@@ -20,6 +20,9 @@ State = TypeVar("State")
 
 #: Singular values below this share of the largest are directions that the data leave open.
 _OPEN = 1e-13
+#: Share of the cost that an undamped step may still take off, and rms of the residual, in noise
+#: units, below which only rounding is left.
+_TOLERANCE, _FLOOR = 1e-10, 1e-9
 #: A parameter whose column has shrunk to this share ran away to where it does nothing.
 _RUNAWAY = 1e-10
 _MOST_DAMPING = 1e16
@@ -35,7 +38,6 @@ class Solution(Generic[State]):
     residual: Array
     jacobian: Array
     converged: bool
-    iterations: int
 
 
 @dataclass(frozen=True)
@@ -70,21 +72,17 @@ def minimise(
     move: Callable[[State, Array], State],
     start: State,
     *,
-    tolerance: float = 1e-10,
-    floor: float = 1e-9,
     iterations: int = 200,
 ) -> Solution[State]:
     """Least squares of residual(state), where d residual = -jacobian · step.
 
     linearise : state -> (residual (N,), jacobian (N, p) of the *prediction*)
     move : (state, step (p,)) -> state
-    tolerance : on the share of the cost that an undamped step would still take off
-    floor : rms of the residual below which only rounding is left (residuals are in noise units)
     """
     point = _linearise(linearise, start, np.zeros(0))
     assert point is not None, "the start cannot be evaluated"
     damping, growth, widest, used = 1e-3, 2.0, point.norms, 0
-    while used < iterations and point.gain > tolerance * point.cost and damping < _MOST_DAMPING:
+    while used < iterations and point.gain > _TOLERANCE * point.cost and damping < _MOST_DAMPING:
         used += 1
         trial = _move(linearise, move, point, damping, widest)
         if trial is None or trial.cost >= point.cost:
@@ -94,9 +92,9 @@ def minimise(
         damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-15)
         point, growth, widest = trial, 2.0, np.maximum(widest, trial.norms)
     point = _polish(linearise, move, point, widest)
-    settled = point.gain <= tolerance * point.cost or point.cost <= floor**2 * point.residual.size
+    settled = point.gain <= _TOLERANCE * point.cost or point.cost <= _FLOOR**2 * point.residual.size
     kept = bool(np.all(point.norms >= _RUNAWAY * widest))
-    return Solution(point.state, point.residual, point.jacobian, settled and kept, used)
+    return Solution(point.state, point.residual, point.jacobian, settled and kept)
 
 
 def _linearise(

@@ -207,7 +207,7 @@ def _compose_series_section(found: Calibrations | None) -> Section:
     words = f"One calibration serves all {len(good)} parts ({per_cent(1.0 - found.probability)})"
     if found.differ:
         words = f"The {len(good)} calibrations differ ({per_cent(found.probability)})"
-    words += f": {', '.join(name for name, _ in found.moved)}" if found.moved else ""
+    words += f": {', '.join(one.effect for one in found.moved)}" if found.moved else ""
     rows = []
     for part in found.parts:
         cells = [part.reason, "-", "-"]

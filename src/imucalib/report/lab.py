@@ -217,7 +217,7 @@ def _compose_bench_section(run: LabRun) -> Section:
     rows += [("raw unit", run.raw.sentence), ("order of rows", order)]
     rows.append(("condition number", f"{fit.condition:.0f}, parameters in typical sizes"))
     rows += [("left open", words) for words in fit.null_directions]
-    rows += [("left out", text) for text in run.excluded]
+    rows += [("left out", text) for text in run.details.left_out]
     words = dial_words(run.result)
     return Section("The bench", (Facts(tuple(rows)), *([Text(words)] if words else ())))
 

@@ -229,8 +229,8 @@ def _overlaps(
 def _runs(w: Windows, flags: Flags) -> list[Index]:
     """Flagged windows that follow one another."""
     chosen = np.flatnonzero(flags)
-    apart = (np.diff(chosen) > 1) | (np.diff(w.run[chosen]) != 0)
-    return [part for part in np.split(chosen, np.flatnonzero(apart) + 1) if part.size]
+    parts = np.split(chosen, np.flatnonzero(~w.joined(chosen)) + 1)
+    return [part for part in parts if part.size]
 
 
 def _of_windows(w: Windows, reason: Reason) -> Candidate:

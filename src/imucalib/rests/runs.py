@@ -32,7 +32,6 @@ from imucalib.rests.windows import (
     WindowBuilder,
     Windows,
     find_breaks,
-    in_order,
     join_windows,
     usable_windows,
     window_statistics,
@@ -70,8 +69,7 @@ WORN = StillSettings(
 def _postures_begin(w: Windows, chosen: Index) -> Index:
     """Positions in `chosen` where a run begins: a gap, a jump, or too far from its start."""
     reading = w.mean[chosen]
-    apart = (np.diff(chosen) > 1) | (np.diff(w.run[chosen]) != 0)
-    apart |= np.linalg.norm(np.diff(reading, axis=0), axis=1) > _CHANGE
+    apart = ~w.joined(chosen) | (np.linalg.norm(np.diff(reading, axis=0), axis=1) > _CHANGE)
     starts = np.concatenate([[0], np.flatnonzero(apart) + 1])
     while True:
         owner = np.repeat(starts, np.diff(np.append(starts, chosen.size)))
@@ -344,6 +342,11 @@ class PostureRuns:
     def n(self) -> int:
         return int(self.time.size)
 
+    def take(self, rows: Index | Flags) -> PostureRuns:
+        """Some of the runs; what is of the whole recording stays."""
+        own = ("mean", "windows", "time", "temperature")
+        return replace(self, **{name: getattr(self, name)[rows] for name in own})
+
 
 def scan(blocks: Iterable[Recording], window: float) -> Scan:
     """One pass over a recording in blocks; memory is that of a block and of the windows.
@@ -378,7 +381,6 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
                 stop = max(stop, float(channel.t[-1])) if channel.t.size else stop
     if first is None or tails is None:
         raise undecided((), "", first.path if first else "")
-    held = [h for h in held if h.channel == f"{name}/acceleration"]
     ordered, lost = usable_windows(
         builders["acceleration"],
         held,
@@ -388,7 +390,7 @@ def scan(blocks: Iterable[Recording], window: float) -> Scan:
     )
     notes += [f"{lost} windows left out: time had stepped back"] * bool(lost)
     warm = builders["temperature"].windows() if "temperature" in builders else None
-    temperature, words = believable_windows(in_order(warm)[0] if warm else None)
+    temperature, words = believable_windows(warm)
     return Scan(
         windows=ordered,
         temperature=temperature,
@@ -463,10 +465,8 @@ def _add_temperature(runs: PostureRuns) -> PostureRuns:
     known = np.isfinite(runs.temperature)
     if known.all() or not known.any():
         return runs
-    names = ("mean", "windows", "time", "temperature")
     note = f"{int((~known).sum())} of {known.size} posture runs left out: they have no temperature"
-    kept = {name: getattr(runs, name)[known] for name in names}
-    return replace(runs, **kept, notes=(*runs.notes, note))
+    return replace(runs.take(known), notes=(*runs.notes, note))
 
 
 def group_windows(

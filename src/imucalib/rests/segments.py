@@ -164,8 +164,7 @@ class _Pass:
             if quantity == "temperature" or ("acceleration", triad) not in self._builders:
                 continue
             name, rate = f"{triad}/{quantity}", self._rates[quantity, triad]
-            held = [h for h in self._held if h.channel == name]
-            ordered, lost = usable_windows(builder, held, name, self.path, _SHORTER)
+            ordered, lost = usable_windows(builder, self._held, name, self.path, _SHORTER)
             every.append(
                 SensorView(Sensor(triad, quantity, rate, ordered, self.settings), self.samples)
             )

@@ -86,7 +86,7 @@ def _groups(sensor: Sensor, kinds: Kinds) -> list[WindowGroup]:
     size = np.maximum(own[1:], own[:-1]) if kinds.louder.any() else noise
     change = np.abs(np.diff(w.mean[chosen], axis=0))
     limit = size + 6.0 * size * np.sqrt(2.0 / w.samples)
-    next_to = (np.diff(chosen) == 1) & (np.diff(w.run[chosen]) == 0)
+    next_to = w.joined(chosen)
     drifting = np.zeros(chosen.size, dtype=np.bool_)
     if not sensor.turns:
         # A turn is judged as a whole: a noise of a few µg must not cut it into rests.

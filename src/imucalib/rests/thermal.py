@@ -42,14 +42,15 @@ _PLAIN = {PLAY.prefix: 0.97, LAG.prefix: 0.999}
 
 
 def believable_windows(w: Windows | None) -> tuple[ThermalHistory | None, tuple[str, ...]]:
-    """What windows of a thermometer, if there is one, tell without those that hold a jump; None
-    where more than half do. How many those are, in words, or nothing.
+    """What windows of a thermometer, if there is one, tell in order of time without those that hold
+    a jump; None where more than half do. How many those are, in words, or nothing.
 
     Gone is a window's length, or the time from one to the next where that is longer, about its
     middle; the resolution is that of the samples, of means where each window is one sample.
     """
     if w is None:
         return None, ()
+    w, _ = in_order(w)
     bad, gone = _jumps(w), np.empty((0, 2))
     words: tuple[str, ...] = ()
     if bad.any():
@@ -96,6 +97,8 @@ def _jumps(w: Windows) -> Flags:
     from the median of the means around it, of good windows alone, than the largest of what a case
     changes from window to window, of the noise of these distances, and of steps of the means. Where
     that many good ones are not there, nothing is held against them."""
+    from scipy.ndimage import median_filter
+
     low, high = w.low[:, 0], w.high[:, 0]
     bad = ~(np.isfinite(w.mean[:, 0]) & (low >= _RANGE[0]) & (high <= _RANGE[1]))
     good = np.flatnonzero(~bad)
@@ -103,7 +106,7 @@ def _jumps(w: Windows) -> Flags:
     half = int(np.clip(round(_AROUND / interval), _FEWEST, _WIDEST))
     if good.size <= 2 * half:
         return bad
-    around = _medians(w.mean[good, 0], half)
+    around = median_filter(w.mean[good, 0], 2 * half + 1, mode="mirror")
     off = np.maximum(high[good] - around, around - low[good])
     limit = max(
         float(np.clip(_FASTEST * interval, _LEAST, _MOST)),
@@ -117,14 +120,6 @@ def _jumps(w: Windows) -> Flags:
 def _interval(w: Windows) -> float:
     """s from window to window, the median; of one alone 1 s."""
     return float(np.median(np.diff(w.start))) if w.start.size > 1 else 1.0
-
-
-def _medians(values: Array, half: int) -> Array:
-    """(n,) median of every value with `half` on either side, mirrored at the ends."""
-    padded = np.pad(values, half, mode="reflect")
-    return np.asarray(
-        np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1), axis=1)
-    )
 
 
 def _step(values: Array) -> float:
@@ -210,7 +205,7 @@ def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory |
     windows = builder.windows() if builder else None
     if windows is None:
         return None
-    found, _ = believable_windows(in_order(windows)[0])
+    found, _ = believable_windows(windows)
     everything = np.array([[-np.inf, np.inf]])
     return found or ThermalHistory(np.empty(0), np.empty(0), everything)
 

@@ -116,6 +116,10 @@ class Windows:
         """(m - 1,) whether the next window is of the same run."""
         return np.asarray(np.diff(self.run) == 0)
 
+    def joined(self, rows: Index) -> Flags:
+        """(k - 1,) of some windows in order, whether each follows the one before in its run."""
+        return np.asarray((np.diff(rows) == 1) & (np.diff(self.run[rows]) == 0))
+
 
 def join_windows(parts: Sequence[Windows]) -> Windows:
     """Windows of one channel, one part behind the other."""
@@ -208,6 +212,7 @@ def usable_windows(
     """Windows of a channel in order of time, in which nothing is held, and how many were left out
     since time had stepped back. Raises Undetermined where there are none.
 
+    held : of the recording; name : of the channel
     longer : remedy where no window is full; with_more : adds others of the channel, in order
     """
     windows = builder.windows()
@@ -218,7 +223,7 @@ def usable_windows(
             remedy=longer,
         )
     ordered, lost = in_order(windows)
-    ordered = drop_held(with_more(ordered), held)
+    ordered = drop_held(with_more(ordered), [h for h in held if h.channel == name])
     if not ordered.start.size:
         raise Undetermined(
             f"{name} repeats one reading in every stretch of {builder.samples} samples",

@@ -20,8 +20,9 @@ from imucalib.calibration.checking.misfit import (
 )
 from imucalib.calibration.checking.noise import check_noise
 from imucalib.calibration.triads import Triad
-from imucalib.calibrators.lab.bench import still_observations
+from imucalib.calibrators.lab.bench import RawUnit, observations_of
 from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.request import LabRequest
 from imucalib.errors import UsageError
 from worlds.instrument import DEG, MG, Array, G, four, vectors
 from worlds.stated import made
@@ -36,7 +37,8 @@ def rests(reading: Array) -> PositionTable:
 
 
 def misfits(calibration: Calibration, reading: Array) -> Misfits:
-    data = still_observations(rests(reading), reading, G, sigma=1.0)
+    by_size = LabRequest(reference="norm", gravity=G, sigma=1.0)
+    data = observations_of(rests(reading), RawUnit("m/s2", 1.0, ""), by_size)
     return misfits_of(calibration, data, check_noise(calibration))[0]
 
 

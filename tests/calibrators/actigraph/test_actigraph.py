@@ -90,7 +90,7 @@ def test_series_finds_a_change_and_nothing_without_one() -> None:
         found = series(week.runs, week.scanned, request, lambda text: None)
         assert len(found.parts) == 2
         assert found.differ is differ
-        assert ("bias" in dict(found.moved)) is differ
+        assert ("bias" in {one.effect for one in found.moved}) is differ
 
 
 @pytest.fixture(scope="module")

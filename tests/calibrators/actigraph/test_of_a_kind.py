@@ -11,7 +11,6 @@ import pytest
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
-from imucalib.calibrators.actigraph.simulation import scan_of
 from imucalib.calibrators.population import (
     UNLIKELY,
     Population,
@@ -23,6 +22,7 @@ from imucalib.errors import UsageError
 from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
 from worlds.command import run
+from worlds.week import scan_of
 
 NAMES = [
     *(f"bias_{a}" for a in "xyz"), *(f"scale_{a}" for a in "xyz"), "cross_yx", "cross_zx",

@@ -23,8 +23,8 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects.table import covariates_before
 from imucalib.effects.thermal import RATE
 from imucalib.errors import NotConverged
-from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.estimators.variance import kind_chance
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remember
 from imucalib.units import MG

@@ -17,11 +17,10 @@ from typing import Annotated
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import from_fit
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.calibrators.actigraph.run import provenance
+from imucalib.calibrators.actigraph.run import calibration_of, provenance
 from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -30,7 +29,7 @@ from imucalib.core.references import KnownNorm
 from imucalib.data import Data, plain
 from imucalib.effects import named
 from imucalib.errors import Undetermined
-from imucalib.estimators.gradient_descent import METHODS, improvement, norm_errors
+from imucalib.estimators.gradient_descent import METHODS, START, improvement, mean_error
 from imucalib.estimators.least_squares import evaluate
 from imucalib.readers import blocks
 from imucalib.recording.mapping import FieldMapping
@@ -158,35 +157,17 @@ def calibrate_as_published(
         notes=scanned.notes,
         sensor=scanned.sensor,
     )
-    facts = {
-        "gravity_source": request.gravity_source,
-        "errors": [error.as_dict() for error in outcome.errors],
-        "method": plain(methods),
-        "provenance": outcome.provenance.as_dict(),
-    }
+    facts = {"errors": [error.as_dict()], "method": plain(methods)}
     return PublishedRun(
         outcome=outcome,
-        calibration=from_fit(
-            found,
-            "actigraph",
-            raw_unit="m/s2",
-            raw_to_si=1.0,
-            gravity=request.gravity,
-            status=outcome.status,
-            reasons=outcome.reasons,
-            facts=facts,
-            sensor=outcome.sensor,
-        ),
+        calibration=calibration_of(found, outcome, request, facts),
         details=PublishedDetails(methods, first, second),
         scanned=scanned,
     )
 
 
 def _error(chosen: PublishedMethod, found: Fit, first: Array, second: Array) -> ErrorSummary:
-    raw, raw_second = (
-        float(np.mean(np.abs(np.linalg.norm(v, axis=1) - 1.0))) * 1e3 if len(v) else float("nan")
-        for v in (first, second)
-    )
+    raw, raw_second = (1e3 * mean_error(START, points) for points in (first, second))
     return ErrorSummary(
         metric="mean error of |a|",
         unit="mg",
@@ -203,13 +184,9 @@ def compare_methods(first: Array, second: Array) -> dict[str, PublishedMethod]:
     found = {}
     for name, method in METHODS.items():
         p = method(first)
-        fitted = float(np.mean(np.abs(norm_errors(p, first)))) * 1e3
-        verified, gain = np.nan, np.nan
-        if len(second):
-            verified = float(np.mean(np.abs(norm_errors(p, second)))) * 1e3
-            gain = improvement(p, second)
+        fitted, verified = (1e3 * mean_error(p, points) for points in (first, second))
         names = dict(zip(_NAMES, map(float, p), strict=True))
-        found[name] = PublishedMethod(names, fitted, verified, gain)
+        found[name] = PublishedMethod(names, fitted, verified, improvement(p, second))
     return found
 
 

@@ -44,6 +44,7 @@ from imucalib.calibrators.actigraph.wear import (
 from imucalib.calibrators.next_recording import describe_recorded
 from imucalib.calibrators.population import not_of_its_kind
 from imucalib.core.effect import CLOCKS
+from imucalib.core.fit import Fit
 from imucalib.core.sphere import count_by_cell
 from imucalib.data import Data
 from imucalib.effects.forms import in_words
@@ -320,7 +321,6 @@ def actigraph_calibration(
     # What one posture scatters by when it comes again.
     sigma = final.noise.factor * float(np.median(final.at.sigma)) / MG
     facts: dict[str, Any] = {
-        "gravity_source": request.gravity_source,
         "frame": "x keeps its direction; gravity alone cannot see a rotation of the frame",
         "clock": {"start_ns": scanned.start_ns, "span_s": max(scanned.stop, 1.0)},
         "errors": [error.as_dict() for error in outcome.errors],
@@ -329,23 +329,35 @@ def actigraph_calibration(
         "coverage": details.coverage.as_dict(),
         "postures": count_by_cell(final.observations.reading[:, 0]).tolist(),
         "from_data": details.from_data,
-        "provenance": outcome.provenance.as_dict(),
     }
-    whole = from_fit(
-        final,
+    whole = calibration_of(final, outcome, request, facts)
+    if parts is None:
+        return whole
+    fits = [(part.start, part.stop, part.fit) for part in parts.parts]
+    compared = series_facts(whole, fits, differ=parts.differ)
+    return replace(whole, facts={**whole.facts, **compared})
+
+
+def calibration_of(
+    fit: Fit, outcome: Outcome, request: ActigraphRequest, facts: Mapping[str, Any]
+) -> Calibration:
+    """The calibration of a fit of readings in m/s², with its facts between those that every one of
+    a worn sensor has."""
+    return from_fit(
+        fit,
         "actigraph",
         raw_unit="m/s2",
         raw_to_si=1.0,
         gravity=request.gravity,
         status=outcome.status,
         reasons=outcome.reasons,
-        facts=facts,
+        facts={
+            "gravity_source": request.gravity_source,
+            **facts,
+            "provenance": outcome.provenance.as_dict(),
+        },
         sensor=outcome.sensor,
     )
-    if parts is None:
-        return whole
-    fits = [(part.start, part.stop, part.fit) for part in parts.parts]
-    return replace(whole, facts=facts | series_facts(whole, fits, differ=parts.differ))
 
 
 def actigraph_details(

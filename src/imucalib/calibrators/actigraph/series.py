@@ -132,19 +132,25 @@ class SeriesPart:
     reason: str = ""
 
 
+class MovedEffect(Data):
+    """An effect whose parameters differ between parts."""
+
+    effect: str
+    probability: float
+
+
 @dataclass(frozen=True)
 class CalibrationSeries:
     """Parts in order, and whether one calibration serves them all.
 
-    common : of all parts; probability : that they differ; moved : the effects that do, each with
-    its probability
+    common : of all parts; probability : that they differ; moved : the effects that do
     """
 
     parts: tuple[SeriesPart, ...]
     parameters: tuple[Parameter, ...]
     common: Array
     probability: float
-    moved: tuple[tuple[str, float], ...]
+    moved: tuple[MovedEffect, ...]
 
     @property
     def differ(self) -> bool:
@@ -162,9 +168,7 @@ def series(
     edges = np.append(np.arange(0.0, scanned.stop, request.every), np.inf)
     parts = []
     for start, stop in pairwise(edges):
-        inside = (runs.time >= start) & (runs.time < stop)
-        kept = ("mean", "windows", "time", "temperature")
-        own = replace(runs, **{name: getattr(runs, name)[inside] for name in kept})
+        own = runs.take((runs.time >= start) & (runs.time < stop))
         end = float(min(stop, scanned.stop))
         found, reason = _fit(own, scanned, request)
         parts.append(SeriesPart(float(start), end, own.n, found, reason))
@@ -222,7 +226,7 @@ def _compare_parts(parts: tuple[SeriesPart, ...], good: list[Fit]) -> Calibratio
         parameters=good[0].parameters,
         common=np.linalg.solve(information.sum(axis=0), vector.sum(axis=0)),
         probability=probability,
-        moved=tuple((name, share) for name, share in likely if share > CERTAIN),
+        moved=tuple(MovedEffect(*one) for one in likely if one[1] > CERTAIN),
     )
 
 
@@ -245,13 +249,6 @@ class PartFacts(Data):
     parameters: tuple[PartValue, ...]
 
 
-class MovedEffect(Data):
-    """An effect whose parameters differ between parts."""
-
-    effect: str
-    probability: float
-
-
 class SeriesFacts(Data):
     """Recalibration over time."""
 
@@ -271,6 +268,5 @@ def describe_series(found: CalibrationSeries) -> SeriesFacts:
     spans = "start_s=start stop_s=stop"
     return SeriesFacts.of(
         found,
-        moved=tuple(MovedEffect(*one) for one in found.moved),
         parts=tuple(PartFacts.of(p, spans, parameters=values(p.fit)) for p in found.parts),
     )

@@ -11,9 +11,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.planted import plant_model
 from imucalib.core.effect import Context
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.runs import Scan
 from imucalib.rests.thermal import REMEMBERED, ThermalHistory, remember
-from imucalib.rests.windows import Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 
 _DAY, _HOUR, _POSTURE = 86400.0, 3600.0, 120.0  # s
@@ -103,33 +101,3 @@ def postures(n: int, rng: np.random.Generator) -> Array:
     anywhere = rng.random(n) < 0.05
     mixed[anywhere] = rng.standard_normal((int(anywhere.sum()), 3))
     return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))
-
-
-def scan_of(grid: Array, warm: Array | None, *, rate: float, seconds: float) -> Scan:
-    """A scan that no samples made: its thermometer reads `warm` (t,) in °C at `grid` (t,) in s."""
-    nothing = np.zeros((0, 3))
-    return Scan(
-        windows=Windows(
-            samples=1000,
-            first=np.zeros(0, np.intp),
-            run=np.zeros(0, np.intp),
-            start=np.zeros(0),
-            stop=np.zeros(0),
-            mean=nothing,
-            variance=nothing,
-            low=nothing,
-            high=nothing,
-            finest=np.zeros(3),
-        ),
-        temperature=None if warm is None else ThermalHistory(grid, warm),
-        triad="imu0",
-        rate=rate,
-        samples=int(seconds * rate),
-        stop=seconds,
-        gaps=0,
-        path="simulated",
-        format="simulated",
-        sha256="",
-        start_ns=0,
-        notes=(),
-    )

@@ -8,7 +8,7 @@ from imucalib.calibrators.array.board.board import Board
 from imucalib.calibrators.array.motion.total import Distance
 from imucalib.calibrators.request import Request
 from imucalib.errors import UsageError
-from imucalib.estimators.markov.crank_nicolson import Stop
+from imucalib.estimators.markov import Stop
 from imucalib.rests.stillness import StillSettings
 
 

@@ -319,7 +319,7 @@ def _notes(result: ImuResult) -> tuple[str, ...]:
         "from rest to rest turns the same angle"
     )
     lost = result.imu.left_out
-    rests = result.by_size.excluded
+    rests = result.by_size.details.left_out
     refused = [s.effect for s in _steps(result)] if result.refused else []
     said = [f"{in_words(n)} is there, and {_NEEDLESS}; --declare {n} puts it in" for n in refused]
     return (

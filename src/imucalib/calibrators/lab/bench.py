@@ -165,7 +165,7 @@ def observations_of(table: PositionTable, raw: RawUnit, request: LabRequest) -> 
     sigma = request.sigma or MG
     exact = request.objective == "vector"
     if request.reference == "norm":
-        data = still_observations(table, reading, gravity, sigma=sigma)
+        data = _observations(table, reading, KnownNorm(table.n, gravity), sigma)
     elif request.reference == "direction":
         if request.conventions != Conventions():
             raise UsageError(
@@ -225,13 +225,6 @@ def position_observations(
         "sweep": _sweeps(i_set, t_set),
     }
     return _observations(table, reading, reference, sigma, covariates)
-
-
-def still_observations(
-    table: PositionTable, reading: Array, gravity: float, *, sigma: float = MG
-) -> Observations:
-    """Observations at rest in unknown attitudes: only the size of gravity is known."""
-    return _observations(table, reading, KnownNorm(table.n, gravity), sigma)
 
 
 def _observations(

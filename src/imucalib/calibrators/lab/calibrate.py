@@ -12,9 +12,8 @@ import numpy as np
 
 from imucalib.arrays import Index
 from imucalib.calibration.outcome import ErrorSummary
-from imucalib.calibrators.lab.errors import Split, error_summary, leave_each_out
+from imucalib.calibrators.lab.errors import Split, error_summary, leave_each_out, session_folds
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.sessions import session_folds
 from imucalib.calibrators.population import of_a_kind
 from imucalib.calibrators.rivals import mix_rivals
 from imucalib.core.fit import Fit
@@ -25,10 +24,10 @@ from imucalib.core.sphere import KnownDirection
 from imucalib.effects import named
 from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
-from imucalib.estimators.in_a_population import kind_chance
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.noise_mixture import integrate_noise
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
+from imucalib.estimators.variance import kind_chance
 from imucalib.posterior.candidates import effects_to_search
 from imucalib.posterior.closed_loop.closed import close_loop
 from imucalib.posterior.closed_loop.found import FitLoop

@@ -1,5 +1,5 @@
-"""Errors of a lab calibration on data that it did not fit, as a drilling engineer reads them, and
-the floor that noise sets."""
+"""Errors of a lab calibration on data that it did not fit, as a drilling engineer reads them; the
+noise of readings, settings and sessions, and the floor that it sets."""
 
 from __future__ import annotations
 
@@ -10,14 +10,23 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
+from imucalib.calibrators.sessions import (
+    BetweenSessions,
+    NextPowerUpFacts,
+    ScatterFacts,
+    estimate_scatter,
+)
 from imucalib.core.angle_conventions import Conventions
+from imucalib.core.balance import whitener
 from imucalib.core.fit import Fit
-from imucalib.core.observations import Observations, session_of
+from imucalib.core.observations import BIAS, MOUNTING, Observations, session_of
 from imucalib.core.references import angles_of
 from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
+from imucalib.estimators.power_ups import Parts
 from imucalib.estimators.variance import INSTEAD
 from imucalib.posterior.held_out import (
+    Fold,
     Predictions,
     errors,
     leave_groups_out,
@@ -32,6 +41,8 @@ _LEAST_COSINE = 0.05
 _REPEATS, _MAD = 6, 1.4826
 #: Share of what neighbours share below which a noise is where its estimate ended.
 _VANISHED = 1.05 / INSTEAD
+#: What sessions change: the effect whose parameters carry it, and the unit that people read.
+_CARRIED = {BIAS: ("bias", "mg", MG), MOUNTING: ("mounting", "deg", DEG)}
 
 
 @dataclass(frozen=True)
@@ -109,6 +120,15 @@ def leave_each_out(
         tested = [errors(f, f.theta, test) for f in (base, final)]
         found.append(Split("test set", rest, *tested))
     return tuple(found)
+
+
+def session_folds(fit: Fit) -> tuple[Fold, ...]:
+    """Each session left out by itself."""
+    session = session_of(fit.observations)
+    if session is None:
+        return ()
+    each = (session == k for k in np.unique(session))
+    return tuple(Fold(np.flatnonzero(own), np.flatnonzero(~own)) for own in each)
 
 
 def _leave_out_by_refits(fit: Fit, objective: str) -> Predictions | None:
@@ -212,3 +232,39 @@ def reading_noise(fit: Fit) -> ReadingNoise:
     own = 0.0 if own < _VANISHED * shared else own
     size = shared * float(sizes[-1])
     return ReadingNoise(own, own * float(sizes[0]), shared, size, walk.memory)
+
+
+def sessions_of(fit: Fit, names: tuple[str, ...]) -> BetweenSessions | None:
+    """The sessions of a fit, or None where it has only one. names : by number"""
+    session = session_of(fit.observations)
+    if session is None:
+        return None
+    used = np.unique(session)
+    scatter, parameters = list[ScatterFacts](), list[NextPowerUpFacts]()
+    slices, sd = fit.model.slices(fit.observations.context), np.sqrt(np.diag(fit.covariance))
+    for k, noise in enumerate(fit.observations.of_sessions, start=fit.at.free):
+        effect, unit, si = _CARRIED[noise.name]
+        own = range(fit.theta.size)[slices.get(effect, slice(0))]
+        one, after = estimate_scatter(
+            noise.name,
+            unit,
+            _parts(fit, k, used.size).in_unit(np.eye(3) / si),
+            fit.noise.sd[k] / si,
+            [(fit.parameters[at].name, float(fit.theta[at]), float(sd[at])) for at in own],
+        )
+        scatter.append(one)
+        parameters += after
+    return BetweenSessions(tuple(names[k] for k in used), tuple(scatter), tuple(parameters))
+
+
+def _parts(fit: Fit, k: int, sessions: int) -> Parts:
+    """Of a component, with θ integrated out: Nᵀ P N and Nᵀ P r without it in V (Henderson 1975)."""
+    at, noise = fit.at, fit.noise
+    ratio = (*noise.ratio[:k], 0.0, *noise.ratio[k + 1 :])
+    columns = at.settings[k]
+    columns = columns[:, np.any(columns, axis=0)].reshape(len(columns), 3 * sessions)
+    white = whitener(at.settings, ratio)(np.column_stack([at.jacobian, columns, at.residual]))
+    p = at.jacobian.shape[1]
+    basis = np.linalg.qr(white[:, :p])[0]
+    rest = (white[:, p:] - basis @ (basis.T @ white[:, p:])) / noise.factor
+    return Parts(rest[:, :-1].T @ rest[:, :-1], rest[:, :-1].T @ rest[:, -1])

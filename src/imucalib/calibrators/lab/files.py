@@ -38,8 +38,6 @@ from imucalib.rests.segments import Segments, still_segments
 from imucalib.rests.stillness import StillSettings
 from imucalib.units import ACCELERATION_UNITS
 
-#: Inclinations at which the tool-face is none, deg.
-_VERTICAL = {"horizontal": (90.0, -90.0), "vertical": (0.0, 180.0)}
 #: What a mapping may state of a table; anything else is of a recording in time.
 _OF_TABLES = {
     "sensor",
@@ -84,9 +82,7 @@ def calibrate_files(files: LabFiles, request: LabRequest, say: Say) -> LabRun:
         tables = [table_of_rests(segments, recording) for recording, segments in read_]
         return run_of_rests(tables, [recording for recording, _ in read_], request, say)
     each = [_order_rows(replace(files, table=path), request, say) for path in paths]
-    table, joining = _join_sessions(each)
-    for note in joining:
-        say(note)
+    table, joining = _join_sessions(each, say)
     return run_lab(table, request, notes=joining)
 
 
@@ -97,9 +93,7 @@ def run_of_rests(
     say: Say,
 ) -> LabRun:
     """Calibrate rests of recordings, each a power-up of the same sensor. Errors as in `run_lab`."""
-    table, joining = _join_sessions(tables)
-    for note in joining:
-        say(note)
+    table, joining = _join_sessions(tables, say)
     notes = dict.fromkeys(note for recording in recordings for note in recording.notes)
     return run_lab(
         table,
@@ -130,7 +124,7 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
             need_direction=request.reference == "direction",
             mapping=files.mapping if need_raw else None,
             exclude=request.exclude,
-            vertical=_VERTICAL[zero],
+            zero=zero,
         )
     except UsageError as error:
         error.add += _settle_further(files, request, error.add)
@@ -288,9 +282,11 @@ def _in_order(positions: PositionTable, segments: Segments, recording: Recording
     return replace(rests, columns=columns, names=names, unit={**rests.unit, **positions.unit})
 
 
-def _join_sessions(tables: Sequence[PositionTable]) -> tuple[PositionTable, tuple[str, ...]]:
+def _join_sessions(
+    tables: Sequence[PositionTable], say: Say
+) -> tuple[PositionTable, tuple[str, ...]]:
     """Tables of one sensor, one a power-up, as one table with a column session whose rows count
-    through all, and notes on what was left out or renumbered.
+    through all, and notes on what was left out or renumbered, which are said.
 
     Columns that one of them lacks are left out. Raises UsageError for units that differ, for a
     column session beside several files, and for a file that is given twice.
@@ -321,6 +317,8 @@ def _join_sessions(tables: Sequence[PositionTable]) -> tuple[PositionTable, tupl
     notes = [f"rows count through all files: {', '.join(spans)}"]
     if lost := sorted({role for one in tables for role in one.columns} - set(roles)):
         notes.append(f"left out, since not every file has it: {', '.join(lost)}")
+    for note in notes:
+        say(note)
     return whole, tuple(notes)
 
 

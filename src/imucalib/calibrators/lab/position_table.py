@@ -34,6 +34,8 @@ from imucalib.units import DEG
 #: A column of words stands for the direction ux, uy, uz: the axis that reads +g in the position.
 _FACE_NAMES = ("face", "up", "face_up", "face up")
 _FACES = tuple(f"{sign}{letter}" for sign in "+-" for letter in "xyz")
+#: Inclinations at which the tool-face is none, deg, by where their zero is.
+_VERTICAL = {"horizontal": (90.0, -90.0), "vertical": (0.0, 180.0)}
 ANGLES, _DIRECTION = {"inclination", "tool_face"}, ("ux", "uy", "uz")
 #: Rows that sessions have on average, at least.
 _OF_A_SESSION = 3
@@ -170,7 +172,7 @@ def read_position_table(
     need_direction: bool = False,
     mapping: FieldMapping | None = None,
     exclude: Collection[int] = (),
-    vertical: tuple[float, ...] = (90.0, -90.0),
+    zero: str = "horizontal",
     cells: Cells | None = None,
 ) -> PositionTable:
     """Read a CSV, HDF5 or XLSX table.
@@ -178,7 +180,8 @@ def read_position_table(
     chosen : role (or "face") -> heading, overriding what is found by name
     mapping : the sensor; of a CSV, lines to skip, delimiter, decimal mark, conditions on rows
     exclude : rows (from 1) that may hold anything; those that cannot be read are left out
-    vertical : inclinations (deg) at which the tool-face, which is none there, may be blank
+    zero : where inclination 0 is, unless its heading says; at the vertical the tool-face, which is
+        none there, may be blank
     cells : of `cells_of`, where the file was read already
     Raises UnreadableInput (missing or non-numeric cells, with row and column; no file) and
     UsageError (an unknown role or heading in `chosen`).
@@ -193,7 +196,7 @@ def read_position_table(
     required = ("inclination", "tool_face") * need_angles + ("x", "y", "z") * need_raw
     _demand((*required, *_DIRECTION * (need_direction and not face)), names, every, where)
     columns = {r: _numbers(cells.columns[name]) for r, name in names.items() if r != "session"}
-    upright = _upright(cells, names, columns, vertical)
+    upright = _upright(cells, names, columns, zero)
     if upright.any():
         columns["tool_face"][upright] = 0.0  # any angle is the same direction there
     bad = {role: ~(np.abs(values) < _LARGEST) for role, values in columns.items()}
@@ -282,16 +285,15 @@ def _list_rows(rows: Index) -> str:
 
 
 def _upright(
-    cells: Cells, names: Mapping[str, str], found: Mapping[str, Array], vertical: tuple[float, ...]
+    cells: Cells, names: Mapping[str, str], found: Mapping[str, Array], zero: str
 ) -> Flags:
     """(n,) rows whose tool-face is blank where the inclination says that the tool is vertical."""
     if not {"inclination", "tool_face"} <= found.keys():
         return np.zeros(len(cells.row), np.bool_)
     heading = bare(names["inclination"])
-    stated = {"vertical": (0.0, 180.0), "horizontal": (90.0, -90.0)}.get(heading.zero, vertical)
     angles = found["inclination"] / (DEG if heading.unit == "rad" else 1.0)
     # An angle in rad has as many digits as its writer gave it.
-    there = np.isclose(angles[:, None], stated, atol=1e-3).any(axis=1)
+    there = np.isclose(angles[:, None], _VERTICAL[heading.zero or zero], atol=1e-3).any(axis=1)
     blank = [is_blank(str(c).strip()) for c in cells.columns[names["tool_face"]]]
     return np.asarray(there & np.array(blank))
 

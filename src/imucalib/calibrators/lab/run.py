@@ -25,6 +25,7 @@ from imucalib.calibrators.lab.errors import (
     attitude_errors,
     reading_noise,
     rms,
+    sessions_of,
     setting_noise,
     worst,
 )
@@ -32,7 +33,6 @@ from imucalib.calibrators.lab.faults import Faults, list_doubts, look_for_faults
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.repairs import repair
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.sessions import sessions_of
 from imucalib.calibrators.next_recording import describe_recorded
 from imucalib.calibrators.population import not_of_its_kind
 from imucalib.calibrators.sessions import BetweenSessions
@@ -116,7 +116,6 @@ class LabRun(Run):
     table: PositionTable
     raw: RawUnit
     request: LabRequest
-    excluded: tuple[str, ...]
     faults: Faults
     recorded: bool = False
 
@@ -175,7 +174,6 @@ def run_lab(
         table=table,
         raw=raw,
         request=request,
-        excluded=prepared.excluded,
         faults=faults,
         recorded=mapping is not None,
     )

@@ -59,7 +59,6 @@ EFFECTS = (
         tuple(Parameter(f"misalignment_{'xyz'[i]}{'xyz'[j]}", "%", 0.3, 10.0) for i, j in OTHERS),
         _MISALIGNMENT,
         by_force(_MISALIGNMENT),
-        scan=True,
     ),
     Response(
         "common_accelerometer_scale",

@@ -94,7 +94,6 @@ EFFECTS = (
         "Turn both ways about each axis, slowly and fast.",
         ("%", 0.2, 5.0),
         each_axis(_size, 0.01),
-        scan=True,
     ),
     _gyro(
         "gyro_scale",
@@ -104,7 +103,6 @@ EFFECTS = (
         "Turn about all axes; the mean over all gyros trades off against the array's size.",
         ("%", 3.0, 20.0),
         _SCALE,
-        scan=True,
     ),
     _gyro(
         "gyro_scale_drift",
@@ -126,7 +124,6 @@ EFFECTS = (
         ("%", 2.0, 20.0),
         other_axes(RATE, 0.01),
         numbers=_CROSS,
-        scan=True,
     ),
     _gyro(
         "gyro_frame",
@@ -158,7 +155,6 @@ EFFECTS = (
         "Rests right before and after the motion.",
         ("deg/s", 0.1, 20.0),
         _BIAS,
-        scan=True,
     ),
     _gyro(
         "gyro_drift",
@@ -188,7 +184,6 @@ EFFECTS = (
         "Turn both ways about each axis, slowly and fast.",
         ("deg/s", 4.0, 200.0),
         each_axis(_power(2), DEG),
-        scan=True,
     ),
     _gyro(
         "gyro_cubic",
@@ -228,6 +223,5 @@ EFFECTS = (
         ("deg/s", 40.0, 2000.0),
         _saturation,
         numbers=[f"_{power}_{axis}" for power in ("third", "fifth") for axis in "xyz"],
-        scan=True,
     ),
 )

@@ -18,7 +18,7 @@ from imucalib.calibrators.array.motion.posterior import (
 )
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.errors import Undetermined
-from imucalib.estimators.markov.crank_nicolson import Stop
+from imucalib.estimators.markov import Stop
 from worlds.boards import DEG, Array, BoardPlan, board_log, made_board
 from worlds.twisted_board import BOARD, fitted, moved
 

@@ -25,7 +25,6 @@ from imucalib.core.effect import (
     Response,
     Truth,
     cross_matrix,
-    three,
 )
 from imucalib.effects import catalogue
 from imucalib.effects.array.parts import (
@@ -99,7 +98,7 @@ def array_catalogue() -> dict[str, Response]:
 def _set_size(effect: Response) -> Response:
     typical = _AFTER_RESTS.get(effect.name)
     each = [p if typical is None else replace(p, typical=typical) for p in effect.each]
-    return replace(effect, each=tuple(each), scan=not effect.shared)
+    return replace(effect, each=tuple(each))
 
 
 def twins_of(name: str) -> tuple[str, ...]:
@@ -323,7 +322,7 @@ def _side(axis: int) -> Callable[[Truth, Context], Array]:
 
 def _law(covariate: str, error: _Error, words: str, basis: Basis) -> tuple[str, Response]:
     late = error.unit == "ms"  # of a triad, not of an axis
-    each = three("law", error.unit, error.typical, np.inf)
+    each = tuple(Parameter(f"law_{a}", error.unit, error.typical, np.inf) for a in "xyz")
     found = Response(
         name=f"{CURVE}{error.words} against {covariate}, {words}",
         sentence="A law without a name.",

@@ -16,8 +16,7 @@ from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.array.noise import MotionNoise
 from imucalib.estimators.array.published import ArrayData, DrawnPrior, run_pmmh
 from imucalib.estimators.array.samples import SPIN, inverse_roots
-from imucalib.estimators.markov.convergence import Convergence, convergence
-from imucalib.estimators.markov.crank_nicolson import Stop, sample
+from imucalib.estimators.markov import Convergence, Stop, convergence, sample
 
 COLLAPSED = 0.5  # share of the drawing's extent below which a geometry is no longer believed
 VAGUE = 0.05  # relative standard deviation of the array's size above which it is not determined
