@@ -221,6 +221,23 @@ def test_one_alias_a_kind_of_array() -> None:
         assert name == "arrays" or not own, f"{name}: {own}"
 
 
+def test_constants_stand_above_what_uses_them() -> None:
+    """But for those that are made by the module's own functions and classes."""
+    for name, tree in TREES.items():
+        own = {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+        late, made = list[str](), set[str]()
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                made.add(node.name)
+            elif made and isinstance(node, ast.Assign | ast.AnnAssign):
+                names = [part for part in ast.walk(node) if isinstance(part, ast.Name)]
+                if own & {part.id for part in names if isinstance(part.ctx, ast.Load)}:
+                    own |= {part.id for part in names if isinstance(part.ctx, ast.Store)}
+                else:
+                    late.append(ast.unparse(node)[:60])
+        assert not late, f"{name}: {late}"
+
+
 def test_modules_have_names_with_a_meaning() -> None:
     vague = [name for name in SOURCES if VAGUE & set(name.replace("_", ".").split("."))]
     assert not vague

@@ -25,6 +25,17 @@ from imucalib.core.course import Lagged
 from imucalib.core.eigen import eigen
 from imucalib.units import DEG
 
+#: Parts of the truth that are there only where the sensors move.
+MOTION = ("rate", "spin", "jerk")
+#: Covariates that are the time of a recording, the last of which comes again each day.
+DAILY = "time_of_day"
+CLOCKS = ("order", "record", "time", DAILY)
+#: fixture: the reference is off (never applied to new readings); mounting: the triad's attitude in
+#: the tool; sensor: what the sensor does. The last two are undone by `apply`.
+Stage = Literal["fixture", "mounting", "sensor"]
+#: Which sensors' readings an effect adds to: m/s² or rad/s.
+Channel = Literal["acceleration", "angular_rate"]
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -85,13 +96,6 @@ class Parameter:
     least: float = -math.inf
 
 
-#: Parts of the truth that are there only where the sensors move.
-MOTION = ("rate", "spin", "jerk")
-#: Covariates that are the time of a recording, the last of which comes again each day.
-DAILY = "time_of_day"
-CLOCKS = ("order", "record", "time", DAILY)
-
-
 @dataclass(frozen=True)
 class Context:
     """Covariates by name, each (n,) in SI units (angles in rad, temperature in °C, time in s), or
@@ -149,13 +153,6 @@ class Context:
         if self.attitude is None:
             return np.broadcast_to(columns, shape)
         return np.asarray(self.attitude.transpose(0, 2, 1) @ columns)
-
-
-#: fixture: the reference is off (never applied to new readings); mounting: the triad's attitude in
-#: the tool; sensor: what the sensor does. The last two are undone by `apply`.
-Stage = Literal["fixture", "mounting", "sensor"]
-#: Which sensors' readings an effect adds to: m/s² or rad/s.
-Channel = Literal["acceleration", "angular_rate"]
 
 
 @dataclass(frozen=True)

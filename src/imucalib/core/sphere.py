@@ -17,6 +17,8 @@ from imucalib.core.references import Directions, tangents
 #: Up to this tilt (rad) the direction is turned; beyond it moves on straight. No fixture is so far
 #: off, and a record of a wrong face or sign must not be explained by a tilt half round the sphere.
 _LARGEST = 0.2
+#: Cells of the sphere in which postures are counted.
+CELLS = 96
 
 
 @dataclass(frozen=True)
@@ -90,10 +92,6 @@ class KnownDirection:
 
     def take(self, rows: Index) -> KnownDirection:
         return KnownDirection(self.direction[rows], self.gravity, self.tilts)
-
-
-#: Cells of the sphere in which postures are counted.
-CELLS = 96
 
 
 def count_by_cell(directions: Array) -> Index:

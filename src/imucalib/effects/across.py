@@ -15,6 +15,9 @@ from imucalib.units import MG, STANDARD_GRAVITY
 _CYCLIC = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 #: Sum of monomials: (coefficient, exponents of the forces on x, y and z in g).
 Polynomial = tuple[tuple[float, tuple[int, int, int]], ...]
+#: Positions from which on seven numbers of one axis are sought.
+_FEWEST = 24
+_ROOT = sqrt(15.0)
 
 
 def monomial(*axes: int) -> tuple[int, int, int]:
@@ -72,9 +75,6 @@ EFFECTS = (
     ),
 )
 
-#: Positions from which on seven numbers of one axis are sought.
-_FEWEST = 24
-_ROOT = sqrt(15.0)
 #: Harmonic products of third degree, all of one size.
 _THIRD: tuple[Polynomial, ...] = (
     *(

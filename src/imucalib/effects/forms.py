@@ -37,6 +37,16 @@ KINDS = {
     "tool_face": "tool-face error",
 }
 _REACH = 1.06  # g, of an axis' own input
+#: What a covariate bends -> the part, what its parameters' names have before the covariate's, their
+#: unit, and how much of one is still believed.
+_BENT: dict[str, tuple[EffectPart, str, str, float]] = {
+    "bias": (BIAS, "", "mg", 300.0),
+    "scale": (SCALE, "scale_", "mg/g", 50.0),
+    "inclination": (INCLINATION, "inclination_", "deg", 10.0),
+    "tool_face": (TOOL_FACE, "tool_face_", "deg", 10.0),
+}
+#: Between a word and its number, a number and its unit: record17, 12min, 2C.
+_UNIT = re.compile(r"(?<=^record)(?=\d)|(?<=\d)(?=[A-Za-z]+$)")
 
 
 @dataclass(frozen=True)
@@ -98,16 +108,6 @@ def own_input(
         return out.reshape(*truth.shape, -1, 3)
 
     return OwnInput(*texts, each=each, basis=basis, basis_dx=basis_dx, axes=axes, bend=bend)
-
-
-#: What a covariate bends -> the part, what its parameters' names have before the covariate's, their
-#: unit, and how much of one is still believed.
-_BENT: dict[str, tuple[EffectPart, str, str, float]] = {
-    "bias": (BIAS, "", "mg", 300.0),
-    "scale": (SCALE, "scale_", "mg/g", 50.0),
-    "inclination": (INCLINATION, "inclination_", "deg", 10.0),
-    "tool_face": (TOOL_FACE, "tool_face_", "deg", 10.0),
-}
 
 
 def _bend(
@@ -298,10 +298,6 @@ def _of_covariate(low: float, high: float, order: Index, *, ends: bool) -> Bend:
 
     labels = (*(str(k) for k in range(order.size)), *(("below", "above") if ends else ()))
     return Bend(values, values, labels, (*(1.0 / order), *((1.0, 1.0) if ends else ())))
-
-
-#: Between a word and its number, a number and its unit: record17, 12min, 2C.
-_UNIT = re.compile(r"(?<=^record)(?=\d)|(?<=\d)(?=[A-Za-z]+$)")
 
 
 def in_words(name: str) -> str:

@@ -36,6 +36,11 @@ Values = Callable[[Context], Array]
 Axis = Callable[[Context], Array]
 #: What one parameter does: (axis that reads, axis whose force it reads, None for a constant).
 Column = tuple[tuple[int, int | None], ...]
+_OWN: tuple[Column, ...] = (((0, 0),), ((1, 1),), ((2, 2),))
+#: y sees x, z sees x, z sees y: x keeps its direction.
+_BELOW: tuple[Column, ...] = (((1, 0),), ((2, 0),), ((2, 1),))
+_ABOVE: tuple[Column, ...] = (((0, 1),), ((0, 2),), ((1, 2),))
+_ON_BENCH = ("inclination", "tool_face")
 
 
 @dataclass(frozen=True)
@@ -217,11 +222,6 @@ def tool_face_axis(context: Context) -> Array:
     return np.asarray(context.sense("tool_face")[:, None] * np.array([0.0, 0.0, -1.0]))
 
 
-_OWN: tuple[Column, ...] = (((0, 0),), ((1, 1),), ((2, 2),))
-#: y sees x, z sees x, z sees y: x keeps its direction.
-_BELOW: tuple[Column, ...] = (((1, 0),), ((2, 0),), ((2, 1),))
-_ABOVE: tuple[Column, ...] = (((0, 1),), ((0, 2),), ((1, 2),))
-
 BIAS = EffectPart((((0, None),), ((1, None),), ((2, None),)))
 #: The same of the room and not of the sensor: no recording has its phase.
 ROOM_BIAS = replace(BIAS, stage="fixture")
@@ -234,7 +234,6 @@ TILTS = EffectPart(_BELOW + _ABOVE)
 #: Scale factors and angles.
 MATRIX = EffectPart(_OWN + _BELOW)
 
-_ON_BENCH = ("inclination", "tool_face")
 INCLINATION = EffectPart(axes=(inclination_axis,), needs=_ON_BENCH, stage="fixture")
 TOOL_FACE = EffectPart(axes=(tool_face_axis,), needs=("tool_face",), stage="fixture")
 #: How the tool stands in its clamp, about x, then y, then z; about its own axis alone.

@@ -30,6 +30,30 @@ from imucalib.effects.thermal import LAG, PLAY, RATE, ROWS
 #: What a column that the user names is called among the covariates.
 COLUMN = "column "
 _FOLLOWING = {"bias": BIAS, "scale": SCALE}
+#: What a period is counted in -> the covariate, and how its angle counts.
+_CLOCKS = {"rows": ("record", "(row - 1)"), "s": ("time", "time")}
+#: Rows of a table from which on more than one swing can be separated from all else.
+_FEWEST_SWINGING = 20
+#: Swings of a table: at least one and a half, else it is a drift, and at most this many a row;
+#: steps of half a swing a table, between which a wave keeps nine tenths of its amplitude.
+_SLOWEST, _QUICKEST, _STEP = 1.5, 0.4, 0.5
+_FINER = 5
+#: Spread of the steps of time, relative, from which a pace is uneven; and how many swings a row can
+#: be counted then, where an even pace takes a quick one for a slow one.
+_PACE, _UNEVEN = 0.2, 0.8
+_DIFFERING = {"scale": SCALE, "sensor": MATRIX, "inclination": INCLINATION}
+_SCANNED = 48  # times, or half as many records, tried at first; around the best all are after
+_FEWEST = 12  # observations on each side of a step
+_FEWEST_RECORDS = 6  # of a table, whose rows know their direction
+#: Covariates: first and last record, from 0, of the part of a sheet that stands as it was set.
+TRUSTED = ("trusted_from", "trusted_to")
+#: Where a turning point is tried, in parts of the range: at an end it is nearly a linear bias.
+_PARTS = (0.25, 0.5, 0.75)
+#: °C between two turning points that are tried, at first and near the best one.
+_COARSE, _FINE = 1.0, 0.2
+#: What a line leaves of the square, in ranges squared, from which on the two can be separated:
+#: 0.075 of temperatures spread evenly, 0.04 of two that are each held within a twentieth.
+_BENT = 0.05
 
 
 def follows(value: str) -> Effect:
@@ -60,18 +84,6 @@ def _columns(context: Context) -> tuple[str, ...]:
 
 
 # Cycles: of what goes on and off in a room.
-
-#: What a period is counted in -> the covariate, and how its angle counts.
-_CLOCKS = {"rows": ("record", "(row - 1)"), "s": ("time", "time")}
-#: Rows of a table from which on more than one swing can be separated from all else.
-_FEWEST_SWINGING = 20
-#: Swings of a table: at least one and a half, else it is a drift, and at most this many a row;
-#: steps of half a swing a table, between which a wave keeps nine tenths of its amplitude.
-_SLOWEST, _QUICKEST, _STEP = 1.5, 0.4, 0.5
-_FINER = 5
-#: Spread of the steps of time, relative, from which a pace is uneven; and how many swings a row can
-#: be counted then, where an even pace takes a quick one for a slow one.
-_PACE, _UNEVEN = 0.2, 0.8
 
 
 def _period(value: str) -> tuple[float, str]:
@@ -136,9 +148,6 @@ def _finer_periods(context: Context, value: str) -> tuple[str, ...]:
 # changes: the dial was set anew, the sensor was damaged, or another one was taken.
 
 
-_DIFFERING = {"scale": SCALE, "sensor": MATRIX, "inclination": INCLINATION}
-
-
 def session(value: str) -> Effect:
     """Of "3:scale" the third session's scale factors, of "3:sensor" the angles between its axes
     too, of "3:inclination" the zero of its inclination dial; ValueError otherwise."""
@@ -163,10 +172,6 @@ def _sessions(context: Context) -> tuple[str, ...]:
 
 # Moments: a bias that jumps (a knock, a new battery, a restart), a scale (an amplifier, a supply,
 # another range), a tool that slips in its clamp, a dial whose zero moves.
-
-_SCANNED = 48  # times, or half as many records, tried at first; around the best all are after
-_FEWEST = 12  # observations on each side of a step
-_FEWEST_RECORDS = 6  # of a table, whose rows know their direction
 
 
 def _from_record(value: str) -> tuple[int, Covariate]:
@@ -198,10 +203,6 @@ def moment_of(name: str) -> float:
     if ":time:step:" in value:
         return float(value.rpartition(":")[2])
     return float(value[:-1]) if family == "bias_step" and value.endswith("s") else float("nan")
-
-
-#: Covariates: first and last record, from 0, of the part of a sheet that stands as it was set.
-TRUSTED = ("trusted_from", "trusted_to")
 
 
 def trust_records(context: Context, first: float, last: float) -> Context:
@@ -341,15 +342,6 @@ def temperature_rate(value: str) -> Effect:
     if value.endswith(ROWS):
         return make_effect("temperature_rate@rows", BIAS, rate, value, time=time, unit=ROWS)
     return make_effect("temperature_rate@", BIAS, rate, value, time=60.0 * time, unit="min")
-
-
-#: Where a turning point is tried, in parts of the range: at an end it is nearly a linear bias.
-_PARTS = (0.25, 0.5, 0.75)
-#: °C between two turning points that are tried, at first and near the best one.
-_COARSE, _FINE = 1.0, 0.2
-#: What a line leaves of the square, in ranges squared, from which on the two can be separated:
-#: 0.075 of temperatures spread evenly, 0.04 of two that are each held within a twentieth.
-_BENT = 0.05
 
 
 def _turning_point(value: str) -> float:

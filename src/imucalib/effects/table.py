@@ -54,6 +54,9 @@ _BEFORE = ("previous_x", "previous_y", "previous_z")
 _SIDE = ("approach_x", "approach_y", "approach_z")
 #: m/s², a smaller move of an axis has no side.
 _MOVED = 0.02 * STANDARD_GRAVITY
+_SIN_COS = ("sin", "cos")
+#: (axis that reads, axis that multiplies it): K_ip and K_io of IEEE Std 1293.
+_PRODUCTS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 
 
 def covariates_before(reading: Array) -> dict[str, Array]:
@@ -103,10 +106,6 @@ def _later_sweeps(context: Context) -> Array:
 def _sweep_parameters(context: Context) -> tuple[Parameter, ...]:
     return sizes("tool_face_zero_per_sweep", (str(k + 1) for k in range(1, context.sweeps)))
 
-
-_SIN_COS = ("sin", "cos")
-#: (axis that reads, axis that multiplies it): K_ip and K_io of IEEE Std 1293.
-_PRODUCTS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 
 EFFECTS: tuple[Effect, ...] = (
     make_effect("bias", BIAS, _ALWAYS),

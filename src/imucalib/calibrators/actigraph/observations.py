@@ -37,6 +37,11 @@ _WEAK = 1.0 / 3.0
 _SCATTER = 5.0 * MG
 #: With fewer postures a parameter than this, their scatter has a prior too: 1 mg.
 _ENOUGH = 3
+_DAY = 86400.0
+_LEAST_WARMTH = 1.0  # °C: less variation than this cannot show what temperature does
+_HEAVY = 4.0  # standard deviations beyond which a run counts less
+_LARGEST = 1.0 / 3.0  # share of the runs that a held-out block of time has at most
+_MEDIAN_SQUARE = 0.4549  # of a standard normal number
 
 
 def base_fit(model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit, int]:
@@ -148,13 +153,6 @@ def fit_of_a_kind(kind: Population, alone: Fit, runs: PostureRuns) -> tuple[OfAK
     found, fewer = robust_fit(model, data, runs, kind.prior(model, data, ()))
     chance = kind_chance(found)
     return OfAKind(kind, alone, chance, used=chance >= UNLIKELY), found, fewer
-
-
-_DAY = 86400.0
-_LEAST_WARMTH = 1.0  # °C: less variation than this cannot show what temperature does
-_HEAVY = 4.0  # standard deviations beyond which a run counts less
-_LARGEST = 1.0 / 3.0  # share of the runs that a held-out block of time has at most
-_MEDIAN_SQUARE = 0.4549  # of a standard normal number
 
 
 def observations_of(

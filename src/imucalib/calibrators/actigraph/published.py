@@ -41,6 +41,12 @@ SECONDS, RANGE_G = 5.0, 0.12
 _HALF_WIDTH, _EACH = 0.25, 2
 #: (axis, centre in g), ends first.
 BINS = tuple((axis, c) for c in (-1.0, 1.0, 0.0) for axis in range(3))
+ARITHMETIC = {
+    "float": "gradient descent",
+    "int32": "gradient descent, 32-bit",
+    "int16": "gradient descent, 16-bit",
+}
+_NAMES = ("k_xx", "k_yy", "k_zz", "k_xy", "k_xz", "k_yz", "o_x", "o_y", "o_z")
 
 
 @dataclass
@@ -83,16 +89,6 @@ def two_sets(means: Array) -> tuple[PointCollector, PointCollector]:
         if first.ready and second.ready:
             break
     return first, second
-
-
-ARITHMETIC = {
-    "float": "gradient descent",
-    "int32": "gradient descent, 32-bit",
-    "int16": "gradient descent, 16-bit",
-}
-
-
-_NAMES = ("k_xx", "k_yy", "k_zz", "k_xy", "k_xz", "k_yz", "o_x", "o_y", "o_z")
 
 
 class PublishedMethod(Data):

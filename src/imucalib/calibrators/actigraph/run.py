@@ -55,6 +55,20 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan
 from imucalib.units import MG
 
+#: The field calls a calibration good below this error (mg); a tenth of it is well known.
+_GOOD, _WELL_KNOWN = 10.0, 1.0
+#: What to do about what moves with time where no temperature was recorded, and where no cause is
+#: proved.
+_COLD = (
+    "The error moves with time and no temperature was recorded: export the temperature channel "
+    "too, or calibrate in parts with --every 1d."
+)
+_UNPROVED = (
+    "The error moves with time, in too few stretches to prove a cause: --every 6h shows which "
+    "parts differ, a longer recording whether it comes back."
+)
+_UNSEARCHED = "What the nine parameters lack was not searched for: that takes {}."
+
 
 class MeanError(Data):
     """The field's measure, mg."""
@@ -218,21 +232,6 @@ def provenance(scanned: Scan, request: ActigraphRequest) -> Provenance:
         seed=request.seed,
         command=request.command,
     )
-
-
-#: The field calls a calibration good below this error (mg); a tenth of it is well known.
-_GOOD, _WELL_KNOWN = 10.0, 1.0
-#: What to do about what moves with time where no temperature was recorded, and where no cause is
-#: proved.
-_COLD = (
-    "The error moves with time and no temperature was recorded: export the temperature channel "
-    "too, or calibrate in parts with --every 1d."
-)
-_UNPROVED = (
-    "The error moves with time, in too few stretches to prove a cause: --every 6h shows which "
-    "parts differ, a longer recording whether it comes back."
-)
-_UNSEARCHED = "What the nine parameters lack was not searched for: that takes {}."
 
 
 def reasons(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:

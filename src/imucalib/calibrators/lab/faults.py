@@ -48,6 +48,9 @@ from imucalib.units import DEG, MG
 
 #: What a dial or a column may be read wrongly by, without any misfit.
 _SILENT = ("toolface_sense", "toolface_zero_axis", "z_axis")
+#: Scatter of a bench's settings (deg) that is none of hands, three times what they set angles to,
+#: and how far held-out errors must lie below the raw readings' to be worth their name.
+SCATTER, WORTH = 3.0 * NOISE.setting / DEG, 0.9
 
 
 def _misread(sheet: Sheet, misread: Misread, request: LabRequest) -> Question:
@@ -131,11 +134,6 @@ def _axes_questions(sheet: Sheet, request: LabRequest) -> tuple[Question, ...]:
     other = f"{paste(*dial)} or {line}" if dial else line
     other += " if columns or dial are misread"
     return (Question(turned, ("--axes=x,y,z",), other),)
-
-
-#: Scatter of a bench's settings (deg) that is none of hands, three times what they set angles to,
-#: and how far held-out errors must lie below the raw readings' to be worth their name.
-SCATTER, WORTH = 3.0 * NOISE.setting / DEG, 0.9
 
 
 @dataclass(frozen=True)

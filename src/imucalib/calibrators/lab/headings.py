@@ -14,6 +14,29 @@ from imucalib.question import paste
 from imucalib.readers.csv.text import is_number
 from imucalib.readers.fields.words import strip_accents, strip_tex
 
+_UNIT = re.compile(
+    r"(?:[_\s]*[\[(]\s*|[_\s]+|(?=°))(degrees|degree|degres|degre|deg|grados|grado|grad|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|"
+    r"lsb|counts|volts?|mv|v|s)\s*[\])]?$"
+)
+#: A temperature with its unit, which for any other quantity would mean another thing.
+_WARM = re.compile(
+    r"(temperature|temperatura|temperatur|temp|t_sensor)[\s_\-.]*[\[(]?\s*"
+    r"(?:[^\w\s]{1,3}\s*|deg(?:rees?)?[\s_]*)?(c|f|k|celsius|fahrenheit|kelvin)\s*[\])]?"
+)
+_SCALES = {"c": "degC", "f": "degF", "k": "K"}
+#: Roles of columns that bias and scale may follow: "driver", "driver_2" and so on.
+_COVARIATE = re.compile(r"driver(_\d+)?")
+_SPELLINGS = dict.fromkeys(("degrees", "degree", "degres", "degre", "grados", "grado"), "deg")
+#: Beginnings of German headings, where "Grad" is a degree; elsewhere it may be a gon.
+_GERMAN = ("neigung", "inklination", "werkzeug")
+#: "(deg from vertical)": where the inclination's zero is.
+_ZERO = re.compile(
+    r"\s*\b(?:from|off|to|von|zur|gegen|de|depuis|desde|par rapport a|respecto a)\s+"
+    r"(?:the\s+|der\s+|die\s+|la\s+|l['’]\s*)?"
+    r"(verticale?|horizontale?|vertikalen?|horizontalen|senkrechten?|waagerechten?)\b"
+)
+_VERTICAL = ("vert", "senk")
+
 
 def _words(text: str) -> tuple[str, ...]:
     return tuple(text.split())
@@ -70,28 +93,6 @@ ROLES: dict[str, tuple[str, ...]] = {
     "session": _words("session power_up powerup sitzung seance sesion"),
     **{f"u{axis}": (f"u{axis}", f"u_{axis}") for axis in "xyz"},
 }
-_UNIT = re.compile(
-    r"(?:[_\s]*[\[(]\s*|[_\s]+|(?=°))(degrees|degree|degres|degre|deg|grados|grado|grad|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|"
-    r"lsb|counts|volts?|mv|v|s)\s*[\])]?$"
-)
-#: A temperature with its unit, which for any other quantity would mean another thing.
-_WARM = re.compile(
-    r"(temperature|temperatura|temperatur|temp|t_sensor)[\s_\-.]*[\[(]?\s*"
-    r"(?:[^\w\s]{1,3}\s*|deg(?:rees?)?[\s_]*)?(c|f|k|celsius|fahrenheit|kelvin)\s*[\])]?"
-)
-_SCALES = {"c": "degC", "f": "degF", "k": "K"}
-#: Roles of columns that bias and scale may follow: "driver", "driver_2" and so on.
-_COVARIATE = re.compile(r"driver(_\d+)?")
-_SPELLINGS = dict.fromkeys(("degrees", "degree", "degres", "degre", "grados", "grado"), "deg")
-#: Beginnings of German headings, where "Grad" is a degree; elsewhere it may be a gon.
-_GERMAN = ("neigung", "inklination", "werkzeug")
-#: "(deg from vertical)": where the inclination's zero is.
-_ZERO = re.compile(
-    r"\s*\b(?:from|off|to|von|zur|gegen|de|depuis|desde|par rapport a|respecto a)\s+"
-    r"(?:the\s+|der\s+|die\s+|la\s+|l['’]\s*)?"
-    r"(verticale?|horizontale?|vertikalen?|horizontalen|senkrechten?|waagerechten?)\b"
-)
-_VERTICAL = ("vert", "senk")
 
 
 @dataclass(frozen=True)

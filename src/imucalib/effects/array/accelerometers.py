@@ -20,6 +20,7 @@ from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 _FAST = 1000.0 * DEG
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_MISALIGNMENT, _SCALE = other_axes(FORCE, 0.01), all_axes(FORCE, 0.01)
 
 
 def _common_bias(truth: Truth, context: Context) -> Array:
@@ -45,8 +46,6 @@ def _flex(truth: Truth, context: Context) -> Array:
 def _fast(truth: Truth, context: Context) -> Array:
     return np.asarray(np.sum(truth.turning.rate**2, axis=-1) / _FAST**2)
 
-
-_MISALIGNMENT, _SCALE = other_axes(FORCE, 0.01), all_axes(FORCE, 0.01)
 
 EFFECTS = (
     Response(

@@ -33,6 +33,9 @@ _FRAME = np.array(
     + [np.diag([1.0, -1.0, 0.0]), np.diag([0.0, 1.0, -1.0])]
 )
 
+_SCALE, _BIAS = each_axis(RATE, 0.01), each_axis(one, DEG)
+_CROSS = [f"_{'xyz'[i]}{'xyz'[j]}" for i, j in OTHERS]
+
 
 def _late(truth: Truth, context: Context) -> Array:
     return np.asarray(context["order"] - 0.5)
@@ -81,9 +84,6 @@ def _gyro(
     words = (name, sentence, equation, source, identify)
     return Response(*words, ("rate", *needs), each, basis, channel="angular_rate", **more)
 
-
-_SCALE, _BIAS = each_axis(RATE, 0.01), each_axis(one, DEG)
-_CROSS = [f"_{'xyz'[i]}{'xyz'[j]}" for i, j in OTHERS]
 
 EFFECTS = (
     _gyro(
