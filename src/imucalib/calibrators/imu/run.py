@@ -307,7 +307,7 @@ def _advice(result: ImuResult, open_gains: tuple[str, ...]) -> tuple[str, ...]:
     """What next: what the turns leave open, or how the gains become better."""
     if open_gains:
         return (f"Turn about other axes: {_PLAN}.",)
-    lost = result.imu.left_out
+    lost = (*result.by_size.details.left_out, *result.imu.left_out)
     words = (f"Record again what was left out: {lost[0]}.",) if lost else ()
     few = len(result.imu.turns.turns) < 12
     return (*words, *((f"Take more turns, a dozen or two: {_PLAN}.",) if few else ()))
