@@ -112,7 +112,8 @@ def coverage(directions: Array) -> float:
 
 
 def even_directions(n: int = 400) -> Array:
-    """(n, 3) unit vectors along a spiral whose turns are equal areas (Saff and Kuijlaars 1997)."""
+    """(n, 3) unit vectors spread evenly: one in each of n equal areas from pole to pole, turned by
+    the golden section from one to the next (Swinbank and Purser 2006)."""
     k = np.arange(n) + 0.5
     z = 1.0 - 2.0 * k / n
     angle = np.pi * (1.0 + np.sqrt(5.0)) * k
