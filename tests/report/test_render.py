@@ -316,6 +316,11 @@ def test_a_report_without_a_card_reads_on_one_page(made: Document, width: int) -
     assert not re.search(r"\bnan\b", text)
 
 
+def test_a_column_of_nothing_takes_a_cell_all_the_same() -> None:
+    header = ("", "", "", "", "0" * 30, "")
+    assert max(map(cell_len, _lines(Table("", header, (), "l" * 6), width=40))) <= 40
+
+
 def test_wide_table_is_split_and_no_number_is_cut() -> None:
     header = ("position", *(f"column {k}" for k in range(14)))
     rows = tuple((f"p{i}", *(f"{i}.{k:05d}" for k in range(14))) for i in range(3))

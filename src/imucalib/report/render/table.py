@@ -68,7 +68,7 @@ class _Column:
     @property
     def width(self) -> int:
         """Cells of a terminal that the column takes when nothing is folded."""
-        return max(map(cell_len, (self.header, *self.cells)))
+        return max([1, *map(cell_len, (self.header, *self.cells))])
 
     @property
     def folded(self) -> int:
